@@ -86,7 +86,7 @@ class HealthReport:
 
     @property
     def action(self) -> str:
-        """What to do next, for the worst sensor; empty: nothing."""
+        """Next action for the worst sensor; empty: nothing to do."""
         bad = [s for s in self.sensors if s.verdict in BAD]
         first = max(bad, key=lambda s: s.verdict == HealthVerdict.FAULTY, default=None)
         return "" if first is None else next(iter(first.actions), "")
@@ -127,7 +127,7 @@ def health(recording: Recording) -> HealthReport:
 
 
 def temperature_findings(recording: Recording) -> Iterator[HealthFinding]:
-    """How far every accelerometer and gyroscope left the temperatures of its calibration."""
+    """Excess of every accelerometer and gyroscope over the temperatures of its calibration."""
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         for instance in recording.instances(sensor):
             found = _of_unit(recording, sensor, instance)

@@ -74,7 +74,7 @@ class Rectified:
 
     @property
     def finding(self) -> HealthFinding:
-        """What it says of the mount."""
+        """Finding on the mount."""
         if self.calm is None:
             text = f"reads {self.shaken:.2f} m/s2 while it vibrates by {self.rms:.1f} m/s2 rms or more"
             text += ": vibration alone may shift its mean so, and it was never calm"

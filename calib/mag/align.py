@@ -94,7 +94,7 @@ class AlignFit:
     variance_inflation: float
     down: Array
     lag: FieldLag | None
-    """What is left of the lag after `shift`, and its uncertainty; None: the movement does not show it, or stated."""
+    """Lag left after `shift`, and its uncertainty; None: it was stated, or the movement does not show it."""
     shift: float
     n_gated: int
     n_outliers: int
@@ -297,7 +297,7 @@ def _trimmed(
 
 
 def _near(residuals: Array) -> NDArray[np.bool_]:
-    """Which rows (N, 2) are within six standard deviations of the others, and of rounding."""
+    """Mask of rows (N, 2) within six standard deviations of the others, and of rounding."""
     size = np.abs(residuals)
     return np.asarray((size <= OUTLIER * MAD_TO_SD * np.median(size, axis=0) + 1e-9).all(axis=1))
 

@@ -56,7 +56,7 @@ class AlignmentNoise:
 
 @dataclass(frozen=True, eq=False)
 class AlignmentSolution:
-    """Where the iteration ended, in units of the scaled samples."""
+    """End of the iteration, in units of the scaled samples."""
 
     unknowns: Array
     """(13,)."""
@@ -360,7 +360,7 @@ def two_stage_start(field: Array, down: Array, scale: float) -> Array:
 
 
 def _median_misfit(down: Array, field: Array) -> tuple[float, float]:
-    """How much ``g . m`` wanders, and about what."""
+    """Spread of ``g . m``, and its mean."""
     along = (down * field).sum(axis=1)
     sine = float(np.median(along))
     return float(np.median(np.abs(along - sine))), sine

@@ -67,7 +67,7 @@ _ALIKE = 0.99  # least precision at which samples count as alike
 
 @dataclass(frozen=True, eq=False)
 class _Timing:
-    """What is known of the blur, and what that means for the ellipsoid."""
+    """Estimate of the blur, and its effect on the ellipsoid."""
 
     state: Array
     """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
@@ -163,7 +163,7 @@ def _timing(
     prior_sd: float | None,
     readings_worth: Array | None,
 ) -> _Timing:
-    """What is known of the blur, improved by one step from `before`; `shape` is the fit of `before`."""
+    """Estimate of the blur after one step from `before`; `shape` is the fit of `before`."""
     model = correction(shape.ellipsoid, None)
 
     samples = deblurred(kept, _adjusted(slow, before.state), model)

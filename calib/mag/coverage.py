@@ -65,7 +65,7 @@ def sections(directions: ArrayLike) -> NDArray[np.intp]:
 
 
 def visited(directions: ArrayLike) -> NDArray[np.bool_]:
-    """Which of the sections (80,) hold at least one of `directions` (N, 3)."""
+    """Sections (80,) that hold at least one of `directions` (N, 3)."""
     result = np.zeros(N_SECTIONS, dtype=np.bool_)
     result[sections(directions)] = True
     return result

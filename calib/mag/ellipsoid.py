@@ -177,7 +177,7 @@ def _by_soft_iron(samples: Array, sphere: Ellipsoid) -> Array:
 
 
 def _why(samples: Array, fit: ShapeFit) -> str:
-    """What kept the ellipsoid from converging, by what the sphere leaves."""
+    """Reason why the ellipsoid did not converge, from the residuals of the sphere."""
     rms = math.sqrt(float(np.mean(fit.residuals**2)))
     noise = math.sqrt(white_variance(fit.residuals))
     seen = float(visited((samples - fit.ellipsoid.offset) @ correction(fit.ellipsoid, None).matrix.T).mean())

@@ -72,7 +72,7 @@ class TurningField:
     """Rotation of the field between readings of a slowly sampled compass, where neighbouring samples determine it."""
 
     rows: NDArray[np.intp]
-    """Which of the samples these are, (M,)."""
+    """Rows of the samples, (M,)."""
     u: Array
     """Direction of the field, (M, 3)."""
     rate: Array
@@ -156,12 +156,12 @@ class ShapeFit:
     dof: float
     condition_number: float
     form: str = "ellipsoid"
-    """What the samples were compared with."""
+    """Form that the samples were compared with."""
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
     fallback_reason: str = ""
-    """Why it is not the form that was asked for; empty where it is."""
+    """Reason for another form than the one asked for; empty: it is that one."""
     undetermined: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     """Parameters that the method leaves as they are, each with the movement that would determine it."""
     variance_inflation: float = 1.0
@@ -247,7 +247,7 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
 
 
 def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> TurningField | None:
-    """How the field turned in samples that follow each other too slowly to be a series; None where they do not."""
+    """Turn of the field between samples too slow to be a series; None: they are fast enough."""
     if context.times is None or len(context.times) != len(samples):
         return None
     return TurningField.of(context.times, correction(fit.ellipsoid, 1.0).apply(samples))

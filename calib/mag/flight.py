@@ -111,7 +111,7 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
 
 
 def _departure(rough: float, outliers: float) -> str:
-    """What is wrong, and only that: how far the two are apart, or how many samples leave the others."""
+    """Faults alone: distance between the two, or number of samples that leave the others."""
     if rough > _ROUGHEST:
         return f"compass and attitude do not agree: {rough:.0%} of the field is left of any offset and Earth's field"
     return f"{outliers:.0%} of the compass's samples depart from the Earth's field by more than their noise"
@@ -302,7 +302,7 @@ def _native(found: FlightEstimate, data: FlightInput, context: MagContext, stren
 
 
 def directions(found: FlightEstimate, strength: float) -> list[dict[str, Any]]:
-    """What the flight alone determines of offset and matrix, best first: combinations with their sd (field = 1)."""
+    """Combinations of offset and matrix that the flight alone determines, best first, with their sd (field = 1)."""
     scale = np.concatenate([np.full(3, strength), np.ones(6)])
     free = found.prior.sd[:9] > 0.0
     covariance = (found.solved.covariance[:9, :9] / np.outer(scale, scale))[np.ix_(free, free)]

@@ -94,7 +94,7 @@ def blocks_of(t: Array) -> NDArray[np.intp]:
 
 
 def by_gyroscope(data: FlightInput, fit: FlightEstimate) -> Hidden:
-    """What `fit` predicts of each block that is hidden from it."""
+    """Predictions of `fit` for each block that is hidden from it."""
     block = blocks_of(data.samples.t)
     lengths = np.zeros(len(block))
     for number in np.unique(block):

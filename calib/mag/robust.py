@@ -42,7 +42,7 @@ _CLEARLY = 0.7  # noise left by another start, relative, from which on that one 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where to begin the iteration."""
+    """Starting point of the iteration."""
 
     ellipsoid: Ellipsoid
     noise_sd: float

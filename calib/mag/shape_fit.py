@@ -46,7 +46,7 @@ _ROUNDS = 2  # the likelihood is quadratic about the likeliest scale, not about 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """How to fit an ellipsoid."""
+    """Options of an ellipsoid fit."""
 
     context: MagContext
     robust: bool | None = None

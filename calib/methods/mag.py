@@ -118,7 +118,7 @@ def _events(recording: Recording) -> list[float]:
 
 
 def _departure(fit: FitResult, measure: Channel, part: Channel) -> float:
-    """How far the field of `part` is from one length, relative, by the model of `fit`; robust against a few."""
+    """Spread of the length of the field of `part`, relative, by the model of `fit`; robust against a few."""
     length = float(np.median(np.linalg.norm(fit.model.apply(measure.values), axis=1)))
     off = np.abs(np.linalg.norm(fit.model.apply(part.values), axis=1) / length - 1.0)
     return float(np.sqrt(np.mean(np.minimum(off, np.percentile(off, 95.0)) ** 2)))
@@ -145,7 +145,7 @@ def _mag_facts(source: Source, mag: Channel, options: Options) -> dict[str, Any]
 
 
 def _times(source: Source, mag: Channel) -> Array | None:
-    """When `mag` was sampled; None where rows were counted."""
+    """Times of the samples of `mag`; None where rows were counted."""
     return mag.t if source.timed else None
 
 

@@ -45,7 +45,7 @@ REFERENCE = Option(
 
 @dataclass(frozen=True)
 class Outside:
-    """What is left of held-out tables outside the temperatures of the others, rms in the sensor's unit."""
+    """Residual of held-out tables outside the temperatures of the others, rms in the sensor's unit."""
 
     slope: float
     polynomial: float

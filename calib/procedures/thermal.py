@@ -82,14 +82,14 @@ SETTLED_OVER = 60.0
 
 @dataclass(frozen=True)
 class WarmUpEnd:
-    """Where a temperature is heading."""
+    """Forecast of a temperature."""
 
     left: float
     """Seconds until its rate falls below the bound."""
     at: float
-    """Where it ends, degC."""
+    """Temperature at its end, degC."""
     spread: float
-    """How far extrapolations from parts of the last minute differ from that, degC."""
+    """Difference of extrapolations from parts of the last minute from that, degC."""
 
 
 class Warmth:

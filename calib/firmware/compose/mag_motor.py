@@ -166,7 +166,7 @@ def _candidate(fit: FitResult, kind: str) -> Mapping[str, Any] | None:
 
 
 def _parameter(draft: Draft, module: object, fit: FitResult, interference: Array) -> Array:
-    """What to add, uT per unit: minus the interference, carried to the calibration that will be in force."""
+    """Compensation to write, uT per unit: minus the interference, carried to the calibration that will be in force."""
     at_sensor = np.linalg.solve(fit.model.matrix, -interference)
     if module is px4:
         return np.asarray(at_sensor)

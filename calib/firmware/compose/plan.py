@@ -108,7 +108,7 @@ def unwritable(
     *,
     options: ComposeOptions = DEFAULT_OPTIONS,
 ) -> tuple[str, ...]:
-    """Why some of `fits` could not be written, one sentence a reason; arguments as for :func:`compose`."""
+    """Reasons against writing some of `fits`, one sentence each; arguments as for :func:`compose`."""
     composition = _Composition(fits, parameters, fingerprint, options)
     composition.plan()
     return composition.unwritable
@@ -131,7 +131,7 @@ class _Composition:
         self._agreed: dict[Subject, Agreement] = {}
         self._level: Agreement | None = None
         self.unwritable: tuple[str, ...] = ()
-        """Why sensors are left out, wholly or in part, once the plan was made."""
+        """Reasons for sensors that a finished plan leaves out, wholly or in part."""
 
     def plan(self) -> WritePlan:
         while True:

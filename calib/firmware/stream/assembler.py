@@ -213,7 +213,7 @@ class MessageSamples:
 
 
 def _present(columns: dict[Sensor, NDArray[Any]]) -> dict[Sensor, Mask]:
-    """Where the sensors are there: an accelerometer never reads three zeros, a good gyroscope at rest may."""
+    """Rows with a sensor: an accelerometer never reads three zeros, a good gyroscope at rest may."""
     present: dict[Sensor, Mask] = {sensor: np.asarray(values.any(axis=1)) for sensor, values in columns.items()}
     present[Sensor.GYRO] |= present[Sensor.ACCEL]
     if Sensor.TEMPERATURE in present:
@@ -299,7 +299,7 @@ class Assembler:
 
     @property
     def identity(self) -> Identity:
-        """What is known of the vehicle by now."""
+        """Identity of the vehicle as known by now."""
         return self._announcements.identity
 
     @property
