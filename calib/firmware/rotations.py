@@ -130,17 +130,19 @@ def nearest_rotation(autopilot: str, body_from_sensor: Array) -> tuple[int, floa
 
     When two numbers mean the same rotation, the smaller one is returned.
     """
-    angles = [_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))]
+    angles = [
+        rotation_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))
+    ]
     best = int(np.argmin(np.round(angles, 9)))
     return best, float(angles[best])
 
 
-def _angle(rotation: Array) -> float:
+def rotation_angle(rotation: Array) -> float:
+    """Angle of a rotation matrix, rad; exact for small angles too."""
     # atan2 of sine and cosine: exact near 0, where arccos loses half of the digits
-    sine = 0.5 * np.linalg.norm(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    return float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
+    skew = rotation - rotation.T
+    sine = 0.5 * float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    return float(np.arctan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0)))
 
 
 def _exact(value: float) -> float:

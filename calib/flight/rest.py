@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcal.calib.firmware.log_options import how_to_log_disarmed
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.logs.inspection import pauses
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.still_limits import RESTING

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_stream
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import Ground, TimeSpan, how_to_rest
 from mavcal.calib.health import limits
@@ -42,7 +42,7 @@ _BATCH_SWITCH: Final = "INS_LOG_BAT_MASK 1"
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """How one sensor was sampled: its densest channel, the median period, s, and its gaps."""
+    """Sampling of one sensor: its densest channel, the median period, s, and its gaps."""
 
     channel: Channel
     period: float
@@ -212,7 +212,7 @@ def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
 
 
 def setting(recording: Recording, what: Logged, rate: float = 0.0) -> str:
-    """What has to be set so that it is recorded, at `rate` Hz or more; empty where that is not known."""
+    """Setting that has it recorded, at `rate` Hz or more; empty: not known."""
     if telemetry(recording):
         return how_to_stream(what, recording.identity, recording.parameters.final(), rate)
     return how_to_log(what, recording.identity, recording.parameters.final())

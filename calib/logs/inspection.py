@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.learning import learning_warnings
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.intake import Intake, Tick
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
@@ -184,7 +183,7 @@ class TickedProcedure(ABC):
 
     def bodies(self, sensor: Sensor) -> dict[int, Array]:
         """Rotation (3, 3) from the raw frame to the body of each instance that takes part now."""
-        return {i: body_from_sensor(self.context, sensor, i) for i in self.present(sensor)}
+        return {i: self.context.body_from_sensor(sensor, i) for i in self.present(sensor)}
 
     def _work(self, *, to_the_end: bool) -> None:
         for tick in self._intake.ticks(to_the_end=to_the_end):

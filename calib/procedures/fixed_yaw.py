@@ -13,7 +13,6 @@ from mavcal.calib.mag.fixed_yaw import KnownAttitude, fit_fixed_yaw
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.level import GRAVITY_WITHIN, roll_pitch
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
@@ -96,7 +95,7 @@ class MagFixedYawProcedure(TickedProcedure):
     def _standing(self) -> KnownAttitude | None:
         """Attitude of the vehicle; None: the job has ended, since its accelerometer cannot determine it."""
         accel = self._pool.channel((Sensor.ACCEL, self._accel))
-        model = in_force(self.context, Sensor.ACCEL, self._accel)
+        model = self.context.in_force(Sensor.ACCEL, self._accel)
         if model is None:
             self._give_up(
                 "the calibration of the accelerometer could not be read", "read the parameters, then start again"
@@ -115,7 +114,7 @@ class MagFixedYawProcedure(TickedProcedure):
         return KnownAttitude(roll, pitch, heading, sd)
 
     def _fit(self, instance: int, standing: KnownAttitude) -> FitResult | None:
-        model = in_force(self.context, Sensor.MAG, instance)
+        model = self.context.in_force(Sensor.MAG, instance)
         if model is None:
             self._leave_out((Sensor.MAG, instance), "its present calibration could not be read")
             return None
@@ -129,7 +128,7 @@ class MagFixedYawProcedure(TickedProcedure):
             instance=instance,
             quantum=channel.quantum,
             field=self.context.earth_field,
-            body_from_sensor=body_from_sensor(self.context, Sensor.MAG, instance),
+            body_from_sensor=self.context.body_from_sensor(Sensor.MAG, instance),
             relative=self.context.relative,
         )
 

@@ -13,7 +13,6 @@ from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
@@ -63,7 +62,7 @@ class LevelProcedure(TickedProcedure):
         self._restless = self._judge_at = 0.0
 
     def _on_start(self, present: set[Instance]) -> None:
-        models = {i: in_force(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        models = {i: self.context.in_force(Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
             self._leave_out((Sensor.ACCEL, instance), "its present calibration could not be read")

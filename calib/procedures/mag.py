@@ -21,7 +21,6 @@ from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, int
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import share_of_information
@@ -92,7 +91,7 @@ class MagProcedure(TickedProcedure):
 
     def _on_start(self, present: set[Instance]) -> None:
         self._inertial = self.present(Sensor.ACCEL)[0], self.present(Sensor.GYRO)[0]
-        accel = in_force(self.context, Sensor.ACCEL, self._inertial[0])
+        accel = self.context.in_force(Sensor.ACCEL, self._inertial[0])
         self._accel = accel or TriadModel()
         self._rotation = self._accel.rotation
         if self.context.earth_field is None:
@@ -138,8 +137,8 @@ class MagProcedure(TickedProcedure):
                 self._tracks[instance] = MagTrack(
                     instance,
                     self.context.earth_field,
-                    in_force(self.context, Sensor.MAG, instance),
-                    body_from_sensor(self.context, Sensor.MAG, instance),
+                    self.context.in_force(Sensor.MAG, instance),
+                    self.context.body_from_sensor(Sensor.MAG, instance),
                     quantum=channel.quantum,
                     relative=self.context.relative,
                 )
@@ -205,7 +204,7 @@ class MagProcedure(TickedProcedure):
             track.refit()
 
     def _mountings(self) -> dict[int, OrientationResult | None]:
-        """Which mounting explains each compass.
+        """Mounting that explains each compass.
 
         Where the place is not known, a mirrored compass looks like one that is turned in a field that points to the
         other side. All compasses are in one field: those that are as stated say to which.
@@ -306,7 +305,7 @@ class MagProcedure(TickedProcedure):
 
     @staticmethod
     def _heading_sd(track: MagTrack) -> float:
-        """How well the heading of a compass is known, or will be once it is fitted, deg."""
+        """Uncertainty of the heading of a compass, now or once it is fitted, deg."""
         return min(track.heading_sd, track.predicted) if track.fit is None else track.heading_sd
 
     def _update_prompt(self) -> None:

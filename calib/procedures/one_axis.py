@@ -19,10 +19,9 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing
+from mavcal.calib.procedures.poses import down_direction, facing
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels
@@ -69,7 +68,7 @@ class AccelOneAxisProcedure(TickedProcedure):
     def _on_start(self, present: set[Instance]) -> None:
         instances = self.present(Sensor.ACCEL)
         self._body = self.bodies(Sensor.ACCEL)
-        models = {i: in_force(self.context, Sensor.ACCEL, i) for i in instances}
+        models = {i: self.context.in_force(Sensor.ACCEL, i) for i in instances}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
             self._leave_out((Sensor.ACCEL, instance), "its present scale could not be read")

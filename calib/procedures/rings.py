@@ -25,10 +25,9 @@ from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
-from mavcal.calib.procedures.placing import Facing, down_direction, facing, place
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
-from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, Facing, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label

@@ -21,9 +21,8 @@ from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing, place
 from mavcal.calib.procedures.pose_fit import CHANCE
-from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels

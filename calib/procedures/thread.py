@@ -24,9 +24,8 @@ from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.intake import TICK
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing
 from mavcal.calib.procedures.pool import Pool
-from mavcal.calib.procedures.poses import DOWN, TEXTS
+from mavcal.calib.procedures.poses import DOWN, TEXTS, down_direction, facing
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels

@@ -19,9 +19,8 @@ from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import Facing, down_direction, facing
 from mavcal.calib.procedures.pool import Pool, Tail, joined
-from mavcal.calib.procedures.poses import DOWN, TEXTS
+from mavcal.calib.procedures.poses import DOWN, TEXTS, Facing, down_direction, facing
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
@@ -240,7 +239,7 @@ class GyroTurntableProcedure(TickedProcedure):
         return stretch.seconds >= LONGEST or (stretch.seconds >= least and known)
 
     def _ask(self, at: Facing, spin: Spin, turned: Turned | None) -> None:
-        """What to do next: the other way, or with another axis vertical."""
+        """Show the next turn: the other way, or with another axis vertical."""
         axis = int(np.abs(DOWN[at.face]).argmax())
         here = [t for t in self._left if t.axis == axis] if at.square else []
         if here:

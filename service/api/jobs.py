@@ -16,10 +16,9 @@ from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary
-from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest
 from mavcal.service.api.models.steps import ProcedureModel
-from mavcal.service.api.models.vehicles import VehicleModel
+from mavcal.service.api.models.vehicles import LinkModel, VehicleModel
 from mavcal.service.api.paging import page_of
 from mavcal.service.api.security import OPERATE, READ, WRITE, ActorDep, SightDep
 from mavcal.service.api.sight import Sight

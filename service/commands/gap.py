@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.gap_close import command as close
-from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.gap_options import (
+    LIMIT_S,
+    FiniteRange,
+    Gauge,
+    layout_option,
+    mass_option,
+    sim_frame_option,
+)
 from mavcal.service.commands.gap_selftest import command as selftest
-from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.reading import parse_mapping, reading_options
 

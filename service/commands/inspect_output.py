@@ -9,7 +9,6 @@ from typing import Any
 from mavcal.calib.flight.item import worded_bounds
 
 WIDTH = 80
-MOST_LINES = 40
 HEAD, HEALTH, CHANNELS, REST, FLIGHT, NEXT = 6, 13, 6, 4, 6, 4
 """Lines of each part where not all are asked for; their sum leaves one for what is left out."""
 _BAD = frozenset({"faulty", "suspicious"})

@@ -26,7 +26,7 @@ from mavcal.calib.firmware.plan import (
     sensors_of,
     snapshot_sha256,
 )
-from mavcal.calib.firmware.retained import retained
+from mavcal.calib.firmware.values import retained
 from mavcal.calib.recording import Sensor
 
 INTEGERS: Final[Mapping[str, ParameterKind]] = {"ardupilot": ParameterKind.INT8, "px4": ParameterKind.INT32}
@@ -57,7 +57,7 @@ class Rank(IntEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """Which sensor a part of a plan is about."""
+    """The sensor that a part of a plan is about."""
 
     sensor: Sensor
     instance: int

@@ -42,7 +42,7 @@ from mavcal.calib.firmware.compose.px4_memory import (
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
-from mavcal.calib.firmware.retained import asks_for_save
+from mavcal.calib.firmware.values import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 

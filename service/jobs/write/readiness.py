@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.preflight.readiness import Readiness, readiness, unchecked
+from mavcal.calib.preflight.check import Readiness, readiness, unchecked
 from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import ServiceError, VehicleUnknown
 from mavcal.service.jobs.core.admission import require_ready, require_vehicle

@@ -9,7 +9,7 @@ import pytest
 
 from mavcal.service.api import jobs
 from mavcal.service.api.jobs import ChangeWatch, State
-from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.vehicles import LinkModel
 
 STREAMS = 40
 
