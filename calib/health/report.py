@@ -53,7 +53,7 @@ class HealthReport:
 
     @property
     def verdict(self) -> HealthVerdict:
-        """That of the worst sensor."""
+        """Verdict of the worst sensor."""
         return worst(s.verdict for s in self.sensors)
 
     @property

@@ -110,7 +110,7 @@ class Rates:
         return late.turned(axes)
 
     def followed_by(self, *others: Rates) -> Rates:
-        """These and the `others`, in this order."""
+        """Both lists joined, `others` behind."""
         parts = (self, *others)
         return Rates(
             np.concatenate([p.ends for p in parts]),

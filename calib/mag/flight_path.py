@@ -104,7 +104,7 @@ class Path:
 
     @property
     def knots(self) -> int:
-        """How many there are."""
+        """Number of knots."""
         return len(self.observed)
 
 

@@ -89,7 +89,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of unknowns."""
         return 9 + 3 * self.drives + NUISANCES
 
     def _after(self, first: int, last: int) -> slice:

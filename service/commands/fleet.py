@@ -174,7 +174,7 @@ def _asked(query: FleetQuery) -> Json:
 
 
 def _where(command: Command) -> Command:
-    """Where the fleet is: a data directory, or a running service."""
+    """Source of the fleet: a data directory, or a running service."""
     return data_dir_option(may_be_remote(command))
 
 

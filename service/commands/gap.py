@@ -204,7 +204,7 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effects(report: GapReport) -> None:
-    """Those of airframe and air with a heading each; those of sensors too where they are not alone."""
+    """Print effects of airframe and air, each under a heading; those of sensors too where they are not alone."""
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import groups
 
@@ -276,7 +276,7 @@ def effect_lines(effect: EffectEstimate) -> list[str]:
 
 
 def remainder_lines(left: Left) -> Iterator[str]:
-    """What is left of an effect of the airframe, parameter by parameter."""
+    """Lines on the rest of an effect of the airframe, parameter by parameter."""
     from mavcal.calib.gap_report.words import number
 
     motor = "" if not left.instances else f" of motor {', '.join(map(str, left.instances))}"

@@ -135,7 +135,7 @@ def _flight(flight: Mapping[str, Any] | None, *, whole: bool) -> list[list[str]]
 
 
 def _steps(steps: Sequence[Mapping[str, Any]], *, whole: bool) -> list[list[str]]:
-    """What is worth fitting; in short without what is not."""
+    """Lines on the fits that are worthwhile; those that are not are left out in short."""
     entries = []
     for step in steps:
         if step["worthwhile"] or whole:

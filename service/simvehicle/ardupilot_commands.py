@@ -142,7 +142,7 @@ class ArduPilotCommands:
         return ACCEPTED
 
     def arming_faults(self) -> list[str]:
-        """Why arming is refused; empty where it is not."""
+        """Reasons to refuse arming; empty: none."""
         vehicle = self._vehicle
         if vehicle.table.get("ARMING_CHECK", 1.0) == 0:
             return []

@@ -75,7 +75,7 @@ class ArduPilotSensors:
         self.reader.restart()
 
     def unhealthy(self, kind: str) -> bool:
-        """What the firmware itself notices: any inertial unit, and of the compasses the first one alone."""
+        """Whether the firmware itself notices a fault: of any inertial unit, and of the first compass alone."""
         return self._faults.fails("mag", 0) if kind == "mag" else self._faults.any(kind)
 
     @property

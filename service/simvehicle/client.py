@@ -187,7 +187,7 @@ class SimulatedVehicle:
         return dict(self.call("truth", **span)["truth"])
 
     def parameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What the corrections really use, and what a read would give: in force, stored."""
+        """Values that the corrections use, and those that a read would give: in force, stored."""
         reply = self.call("parameters")
         return reply["in_force"], reply["stored"]
 

@@ -138,7 +138,7 @@ class Px4OnboardCalibration:
 
 
 def _slots(kind: str, memories: list[SensorMemory], offsets: list[Array]) -> dict[str, Value]:
-    """What ParametersSave writes for each calibrated sensor."""
+    """Values that ParametersSave writes for each calibrated sensor."""
     values: dict[str, Value] = {}
     for memory, offset in zip(memories, offsets, strict=True):
         if memory.slot is None:

@@ -50,7 +50,7 @@ class ControlServer:
         self._clients: dict[socket.socket, bytearray] = {}
 
     def sockets(self) -> list[socket.socket]:
-        """What to wait on."""
+        """Sockets on which to wait for frames."""
         return [self._listener, *self._clients]
 
     def poll(self) -> None:

@@ -203,7 +203,7 @@ def _e7(degrees: float) -> int:
 
 
 class InertialSensors(Protocol):
-    """What corrects the readings of inertial units."""
+    """Corrections of the readings of inertial units."""
 
     world: SimWorld
 
@@ -275,7 +275,7 @@ class AutopilotMessages(abc.ABC, Generic[R]):
                 channel.send(message)
 
     def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
-        """What MESSAGE_INTERVAL says: 0 for a message that is unknown, −1 for one that is off."""
+        """Interval in MESSAGE_INTERVAL: 0 for a message that is unknown, −1 for one that is off."""
         if message_id not in self.builders:
             return 0
         stream = channel.streams.get(message_id)

@@ -158,7 +158,7 @@ def degrees_from_metres(latitude: float, longitude: float, north: float, east: f
 
 
 def metres_from_degrees(latitude: float, longitude: float, there: float, beside: float) -> tuple[float, float]:
-    """How far north and east of a place latitude `there` and longitude `beside` are; the inverse."""
+    """Distance north and east of a place at which latitude `there` and longitude `beside` lie; the inverse."""
     return (
         (there - latitude) * _METRES_PER_DEGREE,
         (beside - longitude) * _METRES_PER_DEGREE * math.cos(math.radians(latitude)),

@@ -314,7 +314,7 @@ class FlyingVehicle:
 
 
 def arming_fault(parameters: FlightParameters, time: float) -> str:
-    """Why it does not arm `time` seconds after boot, in the firmware's words; empty: it does."""
+    """Reason not to arm `time` seconds after boot, in the firmware's words; empty: it arms."""
     if parameters["ARMING_CHECK"] == 0:
         return ""
     if not parameters["SIM_GPS1_ENABLE"]:
@@ -323,7 +323,7 @@ def arming_fault(parameters: FlightParameters, time: float) -> str:
 
 
 def mission_fault(items: Sequence[Item], *, flying: bool) -> str:
-    """Why AUTO does not fly these items, the first of which is home."""
+    """Reason for which AUTO does not fly these items, the first of which is home; empty: it does."""
     if len(items) < 2:
         return "No mission"
     moving = [item.command for item in items[1:] if item.command not in AT_ONCE]
