@@ -7,18 +7,16 @@ differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.names import ARDUPILOT_CUSTOM, PX4_CUSTOM
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Array = NDArray[np.float64]
 Euler = tuple[float, float, float]

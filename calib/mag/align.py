@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.errors import InvalidInputError, UndeterminedError, require_positive
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.align_solve import (
     AlignmentNoise,
@@ -195,8 +195,7 @@ def _check(t: Array, samples: Array, vertical: Vertical, gate: float, time_offse
         raise InvalidInputError("times go back: sort the samples, or cut the recording there")
     if not 0.0 < gate < 1.0:
         raise InvalidInputError(f"the gate on specific force is between 0 and 1, not {gate}")
-    if not (math.isfinite(vertical.gravity) and vertical.gravity > 0.0):
-        raise InvalidInputError(f"gravity must be positive, not {vertical.gravity}")
+    require_positive(vertical.gravity)
     if time_offset is not None and not math.isfinite(time_offset):
         raise InvalidInputError(f"a time offset is a number of seconds, not {time_offset}")
 

@@ -298,8 +298,5 @@ def _check(mag: Channel, gyro: Channel, delay: float | None) -> None:
         raise InvalidInputError(f"the gyroscope must be in rad/s, not in {gyro.unit}: state --unit-gyro")
     if delay is not None and not abs(delay) <= LONGEST_DELAY:
         raise InvalidInputError(f"the delay of a compass is at most {LONGEST_DELAY} s either way, not {delay}")
-    for channel in (mag, gyro):
-        if channel.values.shape[1:] != (3,):
-            raise InvalidInputError(f"the {channel.sensor} needs three columns, not {channel.values.shape[1]}")
-        if not np.isfinite(channel.t).all() or (np.diff(channel.t) < 0.0).any():
-            raise InvalidInputError(f"the time of the {channel.sensor} goes back or is not finite: sort the samples")
+    mag.require_ordered()
+    gyro.require_ordered()
