@@ -1,4 +1,4 @@
-"""The same correction as other programs write it down, and back: MATLAB, imu_tk, Kalibr.
+"""The same correction as other programs write it down: MATLAB, imu_tk, Kalibr.
 
 Ours is ``corrected = C (m - b)`` with vectors as columns (:class:`calib.triad.TriadModel`).
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.triad import TriadModel
@@ -47,22 +47,9 @@ def magcal_from_model(model: TriadModel, strength: float) -> Magcal:
     return Magcal(model.matrix.T / factor, model.offset, strength / factor)
 
 
-def model_from_magcal(form: Magcal, strength: float | None = None) -> TriadModel:
-    """The model whose corrected vectors are `strength` long; None: `expmfs` long, as with MATLAB."""
-    factor = 1.0 if strength is None else strength / form.expmfs
-    return TriadModel(form.b, np.asarray(factor * form.A.T, dtype=np.float64))
-
-
 def accelcal_from_model(model: TriadModel) -> tuple[Array, Array]:
     """A (3, 3) and b (3,) of ``C = U A + b`` by rows."""
     return model.matrix.T, -model.matrix @ model.offset
-
-
-def model_from_accelcal(A: ArrayLike, b: ArrayLike) -> TriadModel:
-    """The model of ``C = U A + b`` by rows."""
-    matrix = np.asarray(A, dtype=np.float64).T
-    offset = -np.linalg.solve(matrix, np.asarray(b, dtype=np.float64))
-    return TriadModel(np.asarray(offset, dtype=np.float64), matrix)
 
 
 def imu_tk_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
@@ -79,12 +66,6 @@ def imu_tk_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
     return model.matrix / scale, np.diag(scale), model.offset
 
 
-def model_from_imu_tk(T: ArrayLike, K: ArrayLike, B: ArrayLike) -> TriadModel:
-    """The model of ``T K (m - B)``."""
-    matrix = np.asarray(T, dtype=np.float64) @ np.asarray(K, dtype=np.float64)
-    return TriadModel(np.asarray(B, dtype=np.float64), matrix)
-
-
 def kalibr_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
     """M (3, 3) lower triangular with a positive diagonal, the rotation C_i (3, 3) and b (3,): ``m = M C_i truth + b``.
 
@@ -94,9 +75,3 @@ def kalibr_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
     orthogonal, triangle = np.linalg.qr(np.linalg.inv(model.matrix).T)
     signs = np.sign(np.diag(triangle))
     return (triangle * signs[:, None]).T, (orthogonal * signs).T, model.offset
-
-
-def model_from_kalibr(M: ArrayLike, C_i: ArrayLike, b: ArrayLike) -> TriadModel:
-    """The model of ``m = M C_i truth + b``."""
-    sensitivity = np.asarray(M, dtype=np.float64) @ np.asarray(C_i, dtype=np.float64)
-    return TriadModel(np.asarray(b, dtype=np.float64), np.asarray(np.linalg.inv(sensitivity), dtype=np.float64))

@@ -25,9 +25,9 @@ from mavcal.calib.conventions import accelcal_from_model, imu_tk_from_model, kal
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.losses import rotation_angle
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.rotations import rotation_angle
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel

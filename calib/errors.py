@@ -16,6 +16,8 @@ The docstring of a class is its default message.
 
 from __future__ import annotations
 
+import math
+
 
 class CalibError(Exception):
     """The calibration could not be computed."""
@@ -64,3 +66,9 @@ class FirmwareError(CalibError):
 
 class ProcedureError(CalibError):
     """The procedure does not accept this answer at this step."""
+
+
+def require_positive(value: float, name: str = "gravity") -> None:
+    """Raise InvalidInputError unless `value` is a finite number above zero."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise InvalidInputError(f"{name} must be positive, not {value}")

@@ -137,6 +137,13 @@ class Channel:
         """What tells channels of one recording apart: sensor, instance, source."""
         return self.sensor, self.instance, self.source
 
+    def require_ordered(self) -> None:
+        """Raise InvalidInputError unless the samples are vectors in the order of their times."""
+        if self.values.shape[1:] != (3,):
+            raise InvalidInputError(f"the {self.sensor} needs three columns, not {self.values.shape[1]}")
+        if not np.isfinite(self.t).all() or (np.diff(self.t) < 0.0).any():
+            raise InvalidInputError(f"the time of the {self.sensor} goes back or is not finite: sort the samples")
+
 
 @dataclass(frozen=True)
 class ParameterEntry:

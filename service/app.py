@@ -34,9 +34,8 @@ from mavcal.service.api.problems import install_problem_handlers
 from mavcal.service.api.security import RequestGuard
 from mavcal.service.core import running_service
 from mavcal.service.doorway import UNCACHED, panel_folder
-from mavcal.service.exposure import check_exposure
 from mavcal.service.hosts import DESCRIPTION
-from mavcal.service.settings import Settings
+from mavcal.service.settings import Settings, check_exposure
 
 
 def create_app(settings: Settings) -> FastAPI:

@@ -46,7 +46,7 @@ class UploadComputations:
 
     @property
     def at_once(self) -> int:
-        """How many are computed at a time."""
+        """Number of computations at a time."""
         return self._children.most
 
     def check(self, recording: str, method: str | None = None) -> None:

@@ -1,10 +1,13 @@
-"""The parts of a running service, put together in one place."""
+"""The parts of a running service, put together in one place.
+
+A link may not be closed while a write needs it (DESIGN 6, rule 2).
+"""
 
 from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -17,25 +20,27 @@ from mavcal.service.campaigns.begin import CampaignDesk, running_campaigns
 from mavcal.service.campaigns.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.errors import LinkBusy, VehicleUnknown
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.hand import SimulatedHands
 from mavcal.service.heap import trim_for_ever
+from mavcal.service.jobs.core.admission import WAY
 from mavcal.service.jobs.core.codec import CODE as UNREADABLE
 from mavcal.service.jobs.core.crashpoints import CrashPoint, no_crash
-from mavcal.service.jobs.core.model import Failure
+from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.settings import JobSettings
+from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.uploads.computing import uploads_of
+from mavcal.service.link import Link
 from mavcal.service.link.allowed import Allowed
-from mavcal.service.link_closing import require_unneeded
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
 from mavcal.service.rates.watching import LiveRates
 from mavcal.service.recordings import Recordings
-from mavcal.service.retention import Retention
-from mavcal.service.rotation import Rotation
+from mavcal.service.retention import Retention, Rotation
 from mavcal.service.settings import Settings
 from mavcal.service.signing import SigningAdmin
 from mavcal.service.signing_keys import SigningKeys
@@ -48,6 +53,7 @@ from mavcal.service.vehicle.job_vehicle import VehicleSource
 if TYPE_CHECKING:
     from mavcal.service.instances.instance import Instance
     from mavcal.service.workers.remote import RemoteChildren
+
 
 log = structlog.get_logger(__name__)
 
@@ -77,7 +83,7 @@ class Service:
     """What earlier runs have left unfinished, as it was before any link was open."""
 
     def obstacle(self) -> str | None:
-        """Why no job could be run now; None: nothing stands in the way."""
+        """Obstacle to running jobs now; None: nothing stands in the way."""
         free = shutil.disk_usage(self.settings.data_dir).free
         if free < LEAST_FREE_BYTES:
             return f"only {free // 2**20} MiB are free for recordings: free some space"
@@ -238,3 +244,29 @@ async def _open_links(links: LinkRegistry, settings: Settings, store: Store) -> 
             await links.open(row.url)
         except Exception as error:  # noqa: BLE001 - a row that cannot be used must not stop the start
             log.warning("link not opened again", url=row.url, reason=str(error))
+
+
+def require_unneeded(link: Link, vehicles: VehicleRegistry, jobs: Iterable[Job]) -> None:
+    """Raise LinkBusy if a write runs over this link, or is in doubt, and no other link leads to that vehicle."""
+    for job in jobs:
+        if job.state in WRITING and job.vehicle_id is not None and _needed(link, vehicles, job):
+            raise LinkBusy(_refusal(link, job))
+
+
+def _needed(link: Link, vehicles: VehicleRegistry, job: Job) -> bool:
+    try:
+        vehicle = vehicles.get(job.vehicle_id or "")
+    except VehicleUnknown:  # not heard since a restart: it was spoken to over this link last
+        return job.context.get(WAY) == link.id
+    carrying = [channel.link for channel in vehicle.channels.alive]
+    return link in vehicle.links and not any(other is not link for other in carrying)
+
+
+def _refusal(link: Link, job: Job) -> str:
+    stands = f"job {job.id} ({job.kind}) is {job.state.value.replace('_', ' ')} on vehicle {job.vehicle_id}"
+    if job.state is JobState.IN_DOUBT:
+        return (
+            f"{stands}, which is heard on no other link than {link.id}: keep it disarmed and in reach until the write "
+            "is finished or taken back, or open another link to it first"
+        )
+    return f"{stands} over link {link.id}: wait for its end, or open another link to the vehicle first"

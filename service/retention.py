@@ -1,4 +1,7 @@
-"""Deletes old uploads, telemetry logs, events and request keys, but never what a job rests on."""
+"""Deletes old uploads, telemetry logs, events and request keys, but never what a job rests on.
+
+A link that stays open goes on in another telemetry log now and then, so that old ones can be forgotten.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,8 @@ from pathlib import Path
 
 import structlog
 
+from mavcal.service.errors import StoreError
+from mavcal.service.link import Link
 from mavcal.service.settings import RetentionSettings
 from mavcal.service.store.rows import RecordingRow
 from mavcal.service.store.sql import Store
@@ -19,6 +24,8 @@ log = structlog.get_logger(__name__)
 
 PERIOD_S = 3600.0
 DAY_S = 86400.0
+LOOK_S = 10.0
+HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -115,3 +122,42 @@ def _log(path: Path) -> Removable | None:
     except OSError:
         return None
     return Removable(path, found.st_mtime, found.st_size, None)
+
+
+@dataclass
+class Rotation:
+    """Looks at the open links; `rotated` is called when one has begun another file.
+
+    A capture and the window of a check keep their link's file until they end: a segment of a job lies in one file.
+    """
+
+    links: Callable[[], Iterable[Link]]
+    settings: RetentionSettings
+    rotated: Callable[[], None]
+    clock: Callable[[], float] = time.monotonic
+
+    async def run(self) -> None:
+        """Check the links at intervals, until cancelled."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            self.look()
+
+    def look(self) -> None:
+        """Have every link whose file is large or old enough go on in another one."""
+        for link in self.links():
+            if not self._due(link):
+                continue
+            try:
+                begun = link.rotate()
+            except StoreError as error:  # it goes on in the old one, and is asked again
+                log.warning("no other telemetry log could be begun", link=link.id, reason=str(error))
+                continue
+            if begun:
+                log.info("telemetry log begun", link=link.id, path=str(link.tlog.path))
+                self.rotated()
+
+    def _due(self, link: Link) -> bool:
+        """Whether the file is large or old enough to be closed; an empty one never is."""
+        held = link.tlog
+        old = self.clock() - held.begun_at >= self.settings.tlog_hours * HOUR_S
+        return held.position > 0 and (old or held.position >= self.settings.tlog_bytes)

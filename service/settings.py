@@ -1,7 +1,12 @@
-"""Settings: one tree, from keyword, environment (``MAVCAL_*``, nested with ``__``) and ``mavcal.toml``; first wins."""
+"""Settings: one tree, from keyword, environment (``MAVCAL_*``, nested with ``__``) and ``mavcal.toml``; first wins.
+
+What may be reached from elsewhere is decided before anything listens. A list of allowed endpoints is made of words,
+networks, hosts and devices.
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import re
 import sys
@@ -17,8 +22,18 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from mavcal.service.reach import DEFAULT, checked_entry
+from mavcal.service.errors import AuthError
 
+IpNetwork = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+SERIAL, SIM, LOOPBACK, PRIVATE, ANY = "serial", "sim", "loopback", "private", "any"
+DEFAULT = (SERIAL, SIM, LOOPBACK, PRIVATE)
+NETWORKS = {
+    LOOPBACK: ("127.0.0.0/8", "::1/128"),
+    PRIVATE: ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "fc00::/7", "fe80::/10"),
+    ANY: ("0.0.0.0/0", "::/0"),
+}
+_HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 TAG = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
 """A tag of a vehicle."""
 BLUEOS_HOSTS = ("blueos.local", "blueos-hotspot.local", "blueos-wifi.local", "192.168.2.2")
@@ -27,6 +42,25 @@ ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
 """One exact origin, as browsers send it; no pattern, no path."""
 SIGNING_KEY = "[0-9a-fA-F]{64}"
 """A signing key as digits."""
+
+
+def checked_entry(entry: str) -> str:
+    """`entry` if it may stand in the list of what is allowed. Raises ValueError."""
+    if entry in {SERIAL, SIM, *NETWORKS} or entry.startswith("/dev/") or network(entry) is not None:
+        return entry
+    if _HOST.fullmatch(entry):
+        return entry.lower()
+    raise ValueError(
+        f"{entry!r} is none of {', '.join((*DEFAULT, ANY))}, no network as 10.1.0.0/16, no host, no /dev/…"
+    )
+
+
+def network(text: str) -> IpNetwork | None:
+    """`text` as a network; None if it is none."""
+    try:
+        return ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        return None
 
 
 def default_data_dir() -> Path:
@@ -301,3 +335,18 @@ def _rows(model: type[BaseModel], prefix: str, env: str) -> list[tuple[str, str,
         )
         rows.append((prefix + name, env + name.upper(), default, info.description or ""))
     return rows
+
+
+def check_exposure(settings: Settings) -> None:
+    """Refuse to listen beyond loopback without keys.
+
+    Raises
+    ------
+    AuthError
+        If the service could be reached from other machines by anybody.
+    """
+    if settings.beyond_loopback and not settings.api_keys:
+        raise AuthError(
+            f"listening on {settings.host} would let anybody on the network write to vehicles: set api_keys "
+            "(`mavcal config key` makes one), or listen on 127.0.0.1"
+        )

@@ -56,7 +56,7 @@ def left_over(store: Store, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
 
 
 def beginning(found: Unfinished) -> str:
-    """What is going to happen to it."""
+    """Sentence on the interrupted job and on what happens to it."""
     job = found.job
     if not found.writing:
         return f"job {job.id} ({job.kind}) was interrupted before it wrote anything: it is cancelled"
@@ -65,7 +65,7 @@ def beginning(found: Unfinished) -> str:
 
 
 def ending(found: Unfinished) -> tuple[str, ...]:
-    """How it ended, or what is in doubt, a sentence each."""
+    """Sentences on its end, or on each value in doubt."""
     job = found.job
     if not found.ended:
         why = job.prompt.text if job.prompt is not None else ""

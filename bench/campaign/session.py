@@ -11,13 +11,13 @@ from typing import Any
 
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.report import to_json
+from mavcal.service.core import require_unneeded
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.link import Link
-from mavcal.service.link_closing import require_unneeded
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.sql import Store

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.errors import require_positive
 from mavcal.calib.fit import AXES
 
 Array = NDArray[np.float64]
@@ -102,8 +102,7 @@ def recognised_gravity(U: Array, gravity: float | None, convention: Convention) 
         If a stated one is not positive.
     """
     if gravity is not None:
-        if not (np.isfinite(gravity) and gravity > 0.0):
-            raise InvalidInputError(f"gravity must be positive, not {gravity}")
+        require_positive(gravity)
         return gravity
     size = float(np.linalg.norm(U, axis=1).mean())
     standard = ACCELCAL_GRAVITY if convention == "accelcal" else STANDARD_GRAVITY

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import tilt_sd_deg
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.stats.norm_fit import (
@@ -93,7 +93,7 @@ def fit_poses(
         (p < 0.001) the covariance is inflated to their scatter and a warning names the worst one. Offsets and scales
         that the poses do not determine are named, with the movement that would.
     """
-    _check(gravity, cross_sd)
+    check_assumed(gravity, cross_sd)
     n_samples = sum(pose.n for pose in poses)
     made = FitBuilder(POSES_METHOD, Sensor.ACCEL, instance, unit, n_samples, relative, movement=_ALL_SIDES)
     if len(poses) < 4:
@@ -277,7 +277,7 @@ def _names(indices: Sequence[int], form: str = "symmetric") -> tuple[str, ...]:
 
 
 def _movement(problem: NormProblem, solution: NormSolution) -> str:
-    """Which faces are missing, said as an instruction."""
+    """Instruction that names the missing faces."""
     missing = [
         _FACES[axis][side]
         for axis in range(3)
@@ -318,9 +318,9 @@ def _quality(
     }
 
 
-def _check(gravity: float, cross_sd: float | None) -> None:
-    if not (np.isfinite(gravity) and gravity > 0.0):
-        raise InvalidInputError(f"gravity must be positive, not {gravity}")
+def check_assumed(gravity: float, cross_sd: float | None) -> None:
+    """Raise InvalidInputError unless gravity is positive, and the prior sd of the cross terms zero or more."""
+    require_positive(gravity)
     if cross_sd is not None and not (np.isfinite(cross_sd) and cross_sd >= 0.0):
         raise InvalidInputError(f"the prior sd of the cross terms must be zero or more, not {cross_sd}")
 

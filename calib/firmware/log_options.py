@@ -113,7 +113,7 @@ _NAMES: Final[Mapping[Logged, LogBit]] = {
 
 
 def how_to_log(what: Logged, identity: Identity, parameters: Mapping[str, Value]) -> str:
-    """What to do to have it logged, one sentence; empty for a vehicle of another autopilot."""
+    """Instruction to have it logged, one sentence; empty for a vehicle of another autopilot."""
     if identity.autopilot == "px4":
         name, bits = "SDLOG_PROFILE", _PX4
     elif identity.autopilot == "ardupilot":
@@ -140,7 +140,7 @@ def _is_set(mask: Value | None, bit: int) -> bool:
 
 
 def how_to_stream(what: Logged, identity: Identity, parameters: Mapping[str, Value], rate: float = 0.0) -> str:
-    """How to have it streamed, at `rate` Hz or more if given; empty for an unknown autopilot."""
+    """Instruction to have it streamed, at `rate` Hz or more if given; empty for an unknown autopilot."""
     if identity.autopilot not in ("ardupilot", "px4"):
         return ""
     group, message = MESSAGES[what]

@@ -103,10 +103,3 @@ def largest_sd(parts: Parts, stored: Array) -> float:
     row = np.array([v[i] * v[j] * (1.0 if i == j else 2.0) for i, j in _PAIRS])
     row[:3] *= np.abs(parts.diagonal - stored) > 1e-6
     return float(np.sqrt(max(row @ parts.covariance[3:, 3:] @ row, 0.0)))
-
-
-def rotation_angle(rotation: Array) -> float:
-    """Angle of a rotation matrix, rad; exact for small angles too."""
-    skew = rotation - rotation.T
-    sine = 0.5 * float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
-    return float(np.arctan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0)))

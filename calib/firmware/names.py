@@ -7,16 +7,14 @@ Names follow a *slot* (a row of parameters on the vehicle), streams follow an *i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.recording import Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 class Role(StrEnum):

@@ -7,18 +7,16 @@ differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.names import ARDUPILOT_CUSTOM, PX4_CUSTOM
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 Array = NDArray[np.float64]
 Euler = tuple[float, float, float]
@@ -130,17 +128,19 @@ def nearest_rotation(autopilot: str, body_from_sensor: Array) -> tuple[int, floa
 
     When two numbers mean the same rotation, the smaller one is returned.
     """
-    angles = [_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))]
+    angles = [
+        rotation_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))
+    ]
     best = int(np.argmin(np.round(angles, 9)))
     return best, float(angles[best])
 
 
-def _angle(rotation: Array) -> float:
+def rotation_angle(rotation: Array) -> float:
+    """Angle of a rotation matrix, rad; exact for small angles too."""
     # atan2 of sine and cosine: exact near 0, where arccos loses half of the digits
-    sine = 0.5 * np.linalg.norm(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    return float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
+    skew = rotation - rotation.T
+    sine = 0.5 * float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    return float(np.arctan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0)))
 
 
 def _exact(value: float) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
-from mavcal.calib.firmware.unit_id import is_simulation_id
+from mavcal.calib.firmware.device_ids import is_simulation_id
 
 ARDUPILOT_NAME: Final = "SIM_SPEEDUP"
 """Parameter that ArduPilot has only where it simulates."""

@@ -20,8 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fleet.observation import BIAS_LIMITS, BiasObservation
-from mavcal.calib.fleet.record import SensorRecord, history_of_part, newest_by_place
+from mavcal.calib.fleet.record import BIAS_LIMITS, BiasObservation, SensorRecord, history_of_part, newest_by_place
 from mavcal.calib.fleet.trend import DAY_S, Leaving, Open, Quantity, Trend, bias_trend
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import CheckId, Verdict

@@ -22,7 +22,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.fleet.observation import BiasObservation
+from mavcal.calib.fleet.record import BiasObservation
 
 Array = NDArray[np.float64]
 DAY_S = 86400.0

@@ -33,12 +33,12 @@ class Craft(StrEnum):
 
     @property
     def moving(self) -> str:
-        """When it moves, as the end of a sentence."""
+        """Words for the time of its movement, as the end of a sentence."""
         return {Craft.AIR: "in flight", Craft.GROUND: "while it drove"}.get(self, "under way")
 
     @property
     def moved(self) -> str:
-        """What it did when it moved."""
+        """Verb, in the past, for its movement."""
         return {Craft.AIR: "flew", Craft.GROUND: "drove"}.get(self, "was under way")
 
     @property

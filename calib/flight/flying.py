@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcal.calib.firmware.log_options import how_to_log_disarmed
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.logs.inspection import pauses
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.still_limits import RESTING
@@ -107,7 +107,7 @@ def why_no_rest(recording: Recording) -> str:
 
 
 def how_to_rest(recording: Recording) -> str:
-    """What has a rest recorded, one sentence without its full stop."""
+    """Instruction for recording a rest, without a full stop."""
     if telemetry(recording):
         return "Record the telemetry while the vehicle is disarmed as well"
     return f"Set {how_to_log_disarmed(recording.identity.autopilot)}"
@@ -212,7 +212,7 @@ def _merged(spans: list[TimeSpan]) -> tuple[TimeSpan, ...]:
 
 
 def _without(spans: tuple[TimeSpan, ...], holes: tuple[TimeSpan, ...]) -> tuple[TimeSpan, ...]:
-    """What is left of `spans` outside `holes`."""
+    """The parts of `spans` outside `holes`."""
     for hole in holes:
         cut = [
             TimeSpan(a, b)

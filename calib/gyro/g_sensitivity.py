@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import drift_sd_deg_per_min
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, FitBuilder, FitResult
 from mavcal.calib.gyro.rest import LARGEST_BIAS
 from mavcal.calib.gyro.turns import EARTH_RATE, usable
@@ -66,8 +66,7 @@ def fit_g_sensitivity(
     InvalidInputError
         If gravity is not positive, or the latitude none.
     """
-    if not (np.isfinite(gravity) and gravity > 0.0):
-        raise InvalidInputError(f"gravity must be positive, not {gravity}")
+    require_positive(gravity)
     if latitude is not None and not -90.0 <= latitude <= 90.0:
         raise InvalidInputError(f"a latitude lies between -90 and 90 degrees, not at {latitude}")
     made = FitBuilder.of(METHOD, gyro, relative=relative, temperature=temperature, movement=MOVEMENT)

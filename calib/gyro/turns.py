@@ -41,10 +41,7 @@ def usable(channel: Channel) -> Channel:
     InvalidInputError
         If time goes back, the columns are not three, or a number is beyond all measure.
     """
-    if channel.values.shape[1:] != (3,):
-        raise InvalidInputError(f"the {channel.sensor} needs three columns, not {channel.values.shape[1]}")
-    if not np.isfinite(channel.t).all() or (np.diff(channel.t) < 0.0).any():
-        raise InvalidInputError(f"the time of the {channel.sensor} goes back or is not finite: sort the samples")
+    channel.require_ordered()
     channel = channel.take(finite_rows(channel.values))
     largest = float(np.abs(channel.values).max(initial=0.0))
     if largest > (_FASTEST if channel.unit == "rad/s" else _LARGEST):

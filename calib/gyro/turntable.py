@@ -114,7 +114,7 @@ def steady_spans(gyro: Channel) -> Array:
 
 
 def _rest_of(means: Array, scatter: Array) -> Array:
-    """What the gyroscope reads at rest: the middle of the extremes of the turns, where both ways were turned."""
+    """Reading of the gyroscope at rest: the median of the quieter half of the windows."""
     quiet = means[scatter <= np.quantile(scatter, 0.5)]
     return np.asarray(np.median(quiet, axis=0), dtype=np.float64)
 

@@ -1,4 +1,4 @@
-"""Samples of a sensor with the calibration in force, as the autopilot uses them."""
+"""Samples of a sensor as the autopilot uses them, with the calibration in force; and whether it has any."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.names import OFFSET, SCALE, Role
 from mavcal.calib.firmware.px4.parameters import calibration_in_force
 from mavcal.calib.firmware.slots import px4_calibration_names
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
@@ -18,7 +19,7 @@ _ESTIMATED = "all of its samples have an estimator's bias taken out: nothing can
 
 
 def why_unjudged(recording: Recording, sensor: Sensor, instance: int) -> str:
-    """Why :func:`judged_channel` is None."""
+    """Reason why :func:`judged_channel` is None."""
     stages = {c.stage for c in recording.find(sensor, instance)}
     return _ESTIMATED if stages == {Stage.DEBIASED} else NOT_PHYSICAL
 
@@ -48,3 +49,34 @@ def judged_channel(recording: Recording, sensor: Sensor, instance: int) -> Chann
         return None
     temperature = None if model.polynomial is None or warm is None else np.interp(raw.t, warm.t, warm.values[:, 0])
     return dataclasses.replace(raw, values=model.apply(raw.values, temperature), stage=Stage.CORRECTED)
+
+
+def never_calibrated(recording: Recording, sensor: Sensor, instance: int) -> bool:
+    """Whether its parameters are in the log and all have the value of an uncalibrated sensor."""
+    parameters = recording.parameters.final()
+    try:
+        if recording.identity.autopilot == "px4":
+            roles = px4_calibration_names(parameters, sensor, instance)
+        elif sensor == Sensor.MAG:
+            roles = names.ardupilot_compass_names(instance, instance)
+        else:
+            roles = names.ardupilot_imu_names(sensor, instance)
+    except CalibError:  # no parameters for so many sensors
+        return False
+    offsets = [parameters.get(roles[role]) for role in OFFSET]
+    scales = [parameters.get(roles[role], 1.0) for role in SCALE if role in roles]
+    return all(value == 0.0 for value in offsets) and all(value in (0.0, 1.0) for value in scales)
+
+
+def in_use(recording: Recording, sensor: Sensor, instance: int) -> bool:
+    """Whether the vehicle uses that sensor; True where its parameters do not say."""
+    parameters = recording.parameters.final()
+    if recording.identity.autopilot == "px4":
+        return True
+    if sensor in (Sensor.ACCEL, Sensor.GYRO):
+        row = names.ardupilot_imu_names(sensor, instance) if instance < names.ARDUPILOT_IMU_SLOTS else {}
+        return bool(parameters.get(row.get(names.Role.USE, ""), 1))
+    if sensor != Sensor.MAG or instance >= names.ARDUPILOT_COMPASS_SLOTS:
+        return True
+    use = parameters.get(names.ardupilot_compass_names(instance, instance)[names.Role.USE], 1)
+    return bool(use) and bool(parameters.get("COMPASS_ENABLE", parameters.get("MAG_ENABLE", 1)))

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
-from mavcal.calib.health.channels import judged_channel, why_unjudged
+from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
-from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
@@ -102,7 +101,7 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
 
 
 def _driven(recording: Recording, channel: Channel, attitude: Channel | None) -> HealthFinding | None:
-    """How far strength or vertical part of the field follow current or throttle; None: neither of these moved.
+    """Dependence of the field's strength or vertical part on current or throttle; None: neither of these moved.
 
     Both are looked at because neither depends on the heading, which a bad compass spoils in the attitude as well.
     """

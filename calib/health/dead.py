@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 
 from mavcal.calib.firmware.names import ARDUPILOT_IMU_SLOTS, Role, ardupilot_imu_names
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.flight.rest import ground
+from mavcal.calib.health.channels import in_use
 from mavcal.calib.health.finding import HealthFinding, HealthVerdict
-from mavcal.calib.health.parameters import in_use
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
 from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
@@ -185,7 +185,7 @@ def _is_dead(event: Event, sensor: Sensor) -> bool:
 
 
 def _installed(recording: Recording) -> dict[Key, Announced]:
-    """What the parameters announce; nothing where the recording has none, or no autopilot."""
+    """Sensors that the parameters announce; none without parameters, or without an autopilot."""
     autopilot = recording.identity.autopilot
     return announced(autopilot, recording.parameters.final()) if autopilot is not None else {}
 

@@ -83,7 +83,7 @@ class SensorHealth:
 
     @property
     def verdict(self) -> HealthVerdict:
-        """That of the worst finding; a sensor is ok only where a check of its readings says so."""
+        """Verdict of the worst finding; a sensor is ok only where a check of its readings says so."""
         found = worst(f.verdict for f in self.findings)
         if found == HealthVerdict.OK and all(f.check in SUPPORTING for f in self.findings if f.verdict == found):
             return HealthVerdict.CANNOT_SAY

@@ -17,9 +17,8 @@ from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
-from mavcal.calib.health.channels import judged_channel, why_unjudged
+from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value, shown_sd
-from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.still_limits import RESTING, StillnessLimits
@@ -91,7 +90,7 @@ def _thinned(channel: Channel) -> Channel:
 def inertial_findings(
     recording: Recording, off: Sequence[TimeSpan], support: Support | None = None
 ) -> Iterator[HealthFinding]:
-    """What every accelerometer and gyroscope reads; `off` are the spans with the motors off.
+    """Readings of every accelerometer and gyroscope; `off` are the spans with the motors off.
 
     `support` is what speaks against the logged attitude; None: what `recording` says of it.
     """
@@ -262,7 +261,7 @@ def _moving(channel: Channel, reference: _MotionReference, laid: Sequence[Still]
 
 
 def _heading_open(channel: Channel, reference: _MotionReference) -> tuple[HealthVerdict, str]:
-    """What is left to say about the vertical, where nothing supports the heading of the attitude."""
+    """Findings about the vertical alone, where nothing supports the heading of the attitude."""
     assert reference.attitude is not None
     turn = motion.rate_error(channel, reference.attitude, motion.RatePart.VERTICAL)
     rate, sd = float(np.linalg.norm(turn.median)), float(np.linalg.norm(turn.sd))
@@ -289,7 +288,7 @@ def _doubted(one: HealthFinding, others: Sequence[int]) -> HealthFinding:
 
 
 def _against_others(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
-    """What every unit shows alone, and every unit against the others.
+    """Findings on every unit alone, and on every unit against the others.
 
     Which of two is off is told by what each shows alone, or by a third.
     """

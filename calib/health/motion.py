@@ -122,7 +122,7 @@ def difference(first: Channel, second: Channel) -> WindowMeans:
 
 
 def no_windows(columns: int) -> WindowMeans:
-    """No window of so many numbers."""
+    """Empty array of windows, each of so many numbers."""
     return WindowMeans(np.zeros(0), np.zeros((0, columns)))
 
 

@@ -28,11 +28,9 @@ from mavcal.calib.health.finding import (
     worst,
 )
 from mavcal.calib.health.inertial import inertial_findings
-from mavcal.calib.health.missing_data import every_sample, missing_data
-from mavcal.calib.health.rectified import explained, rectified
-from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.sampling import SENSORS, every_sample, missing_data, sampled, sampling_findings
 from mavcal.calib.health.support import support_of
-from mavcal.calib.health.vibration import vibration_findings
+from mavcal.calib.health.vibration import explained, rectified, vibration_findings
 from mavcal.calib.preflight.history import corrected_by, covered_by
 from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor
@@ -55,7 +53,7 @@ class HealthReport:
 
     @property
     def verdict(self) -> HealthVerdict:
-        """That of the worst sensor."""
+        """Verdict of the worst sensor."""
         return worst(s.verdict for s in self.sensors)
 
     @property
@@ -88,7 +86,7 @@ class HealthReport:
 
     @property
     def action(self) -> str:
-        """What to do next, for the worst sensor; empty: nothing."""
+        """Next action for the worst sensor; empty: nothing to do."""
         bad = [s for s in self.sensors if s.verdict in BAD]
         first = max(bad, key=lambda s: s.verdict == HealthVerdict.FAULTY, default=None)
         return "" if first is None else next(iter(first.actions), "")
@@ -129,7 +127,7 @@ def health(recording: Recording) -> HealthReport:
 
 
 def temperature_findings(recording: Recording) -> Iterator[HealthFinding]:
-    """How far every accelerometer and gyroscope left the temperatures of its calibration."""
+    """Excess of every accelerometer and gyroscope over the temperatures of its calibration."""
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         for instance in recording.instances(sensor):
             found = _of_unit(recording, sensor, instance)

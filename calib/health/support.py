@@ -39,7 +39,7 @@ _WEAK: Final = 0.2  # of the field that must lie across the vertical to tell a h
 
 @dataclass(frozen=True)
 class Support:
-    """Why tilt and heading of the logged attitude are not to be believed; empty where nothing contradicts them."""
+    """Contradictions to tilt and heading of the logged attitude; empty: none."""
 
     tilt: str = ""
     heading: str = ""
@@ -57,7 +57,7 @@ def support_of(recording: Recording, attitude: Channel | None) -> Support:
 
 
 def _tilt(recording: Recording, t: Array, turned: Array) -> str:
-    """Why the tilt is not believed: no accelerometer feels gravity where it has down."""
+    """Contradiction to the tilt: no accelerometer feels gravity where it has down."""
     angles, gravity = {}, []
     for instance in recording.instances(Sensor.ACCEL):
         channel = judged_channel(recording, Sensor.ACCEL, instance)
@@ -89,7 +89,7 @@ def _usual_length(accel: Channel) -> float:
 
 
 def _heading(recording: Recording, t: Array, turned: Array) -> str:
-    """Why the heading is not believed: every compass is dead, or turns by it."""
+    """Contradiction to the heading: every compass is dead, or turns by it."""
     reasons = [
         f"compass {event.odd.instance + 1} is dead"
         for event in recording.events

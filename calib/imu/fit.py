@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.errors import require_positive
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.imu.integrate import Moves
@@ -116,7 +116,7 @@ def fit_imu(
 
 
 def _held_for_less(accel: Channel, gyro: Channel, gravity: float | None, count: int, needed: float) -> str:
-    """How long poses were held, where more than the `count` that were found were held for less than `needed` s."""
+    """End of a refusal, where more than the `count` poses found were held for less than `needed` s; or empty."""
     for part in SHORTER:
         spans = find_poses(accel, gyro, gravity, part * needed)
         if len(spans) >= MANY_MORE * (count + 1):
@@ -260,7 +260,7 @@ def _covariance(weighed: Weighed, solution: ImuSolution, unknown: NDArray[np.int
 
 
 def _integrable(gyro: Channel, spans: Array) -> NDArray[np.bool_]:
-    """Which of `spans` (K, 2) the gyroscope covers without a hole and without reaching the end of its range."""
+    """Mask of `spans` (K, 2) that the gyroscope covers without a hole or a reading at the end of its range."""
     step = float(np.median(np.diff(gyro.t)))
     highest, lowest = gyro.values.max(axis=0), gyro.values.min(axis=0)
     usable = np.zeros(len(spans), dtype=np.bool_)
@@ -314,11 +314,7 @@ def _not_gravity(poses: Poses, gravity: float | None) -> str:
 
 
 def _check(accel: Channel, gyro: Channel, gravity: float, cross_sd: float) -> None:
-    for name, value in (("gravity", gravity), ("the sd of misalignments", cross_sd)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InvalidInputError(f"{name} must be positive, not {value}")
-    for channel in (accel, gyro):
-        if channel.values.shape[1:] != (3,):
-            raise InvalidInputError(f"the {channel.sensor} needs three columns, not {channel.values.shape[1]}")
-        if not np.isfinite(channel.t).all() or (np.diff(channel.t) < 0.0).any():
-            raise InvalidInputError(f"the time of the {channel.sensor} goes back or is not finite: sort the samples")
+    require_positive(gravity)
+    require_positive(cross_sd, "the sd of misalignments")
+    accel.require_ordered()
+    gyro.require_ordered()

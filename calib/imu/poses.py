@@ -101,7 +101,7 @@ def find_poses(accel: Channel, gyro: Channel, gravity: float | None, min_still: 
 
 
 def measure(accel: Channel, gyro: Channel, spans: Array) -> Poses:
-    """What both channels read in `spans`; each span holds two or more samples of both."""
+    """Means of both channels over `spans`; each span holds two or more samples of both."""
     parts = [accel.between(*span) for span in spans]
     frames = [frame_along(part.values.mean(axis=0)) for part in parts]
     estimates = [mean_of(part) for part in parts]
@@ -223,7 +223,7 @@ class ScatterWindows:
         return cls(starts, length, both[0], both[1], floors[0], floors[1], gravity)
 
     def still(self, accel_factor: float, gyro_factor: float) -> NDArray[np.bool_]:
-        """Which windows are still at those multiples of the quietest scatter."""
+        """Mask of the windows that are still at those multiples of the quietest scatter."""
         limit = gyro_factor * self.gyro_floor
         quiet = (self.accel.scatter <= accel_factor * self.accel_floor) & (self.gyro.scatter <= limit)
         full = (self.accel.n >= _LEAST_SAMPLES // 2) & (self.gyro.n >= _LEAST_SAMPLES // 2)
@@ -261,7 +261,7 @@ def _spans(watch: ScatterWindows, still: NDArray[np.bool_]) -> Array:
 
 
 def steady(accel: Channel, spans: Array, gravity: float) -> NDArray[np.bool_]:
-    """Which of `spans` (P, 2) read the same in both halves, within their noise and a hand's sway."""
+    """Mask of `spans` (P, 2): True where both halves read the same, within noise and a hand's sway."""
     keep = np.zeros(len(spans), dtype=np.bool_)
     for k, (start, end) in enumerate(spans):
         values = accel.between(start, end).values

@@ -146,7 +146,7 @@ def _off(prior: ImuPrior, x: Array) -> float:
 
 
 def turns_of(problem: ImuProblem, x: Array) -> Turns:
-    """What the movements did, by the gyroscope of the unknowns `x`."""
+    """Rotation of each movement, by the gyroscope of the unknowns `x`."""
     return integrate(problem.moves, x[9:18].reshape(3, 3), x[18:21], problem.density)
 
 

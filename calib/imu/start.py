@@ -66,7 +66,7 @@ def closure(problem: ImuProblem, x: Array) -> float:
 
 
 def rate_factor(problem: ImuProblem, x: Array, rough: Array) -> float | None:
-    """What the gyroscope's numbers must be multiplied by, where its unit or range is not what it is said to be.
+    """Factor on the gyroscope's numbers that corrects a wrong unit or range.
 
     None: as they are the movements lead from pose to pose, or no factor makes them. `x` (21,) has the gyroscope as it
     is given, `rough` (3, 3) is that of :func:`rough_gyro`.

@@ -63,7 +63,7 @@ FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 
 
 def column_names(channel: Channel) -> tuple[str, ...]:
-    """What the columns of `channel` are called."""
+    """Names of the columns of `channel`."""
     number = "" if channel.instance == 0 else str(channel.instance + 1)
     if channel.sensor in TRIADS:
         return tuple(f"{channel.sensor}{number}_{axis}" for axis in "xyz")
@@ -76,7 +76,7 @@ def column_names(channel: Channel) -> tuple[str, ...]:
 
 
 def reference_names(sensor: Sensor) -> tuple[str, ...]:
-    """What the columns of a reference channel are called; empty for a sensor that has none."""
+    """Names of the columns of a reference channel; empty for a sensor that has none."""
     if sensor not in REFERENCE_SI:
         return ()
     stem = _REFERENCE_STEMS.get(sensor, sensor.value)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.learning import learning_warnings
-from mavcal.calib.firmware.stream.source import telemetry
+from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ def _armed(recording: Recording) -> list[dict[str, float]]:
 
 
 def _missing(recording: Recording) -> list[str]:
-    """What the recording lacks, one sentence each, and what that means."""
+    """One sentence for each thing that the recording lacks, and its consequence."""
     have = {c.sensor for c in recording.channels if len(c) and c.stage != Stage.DEBIASED}
     dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
     if not have & set(TRIADS):
@@ -217,7 +217,7 @@ def _period(t: Array) -> tuple[float | None, int]:
 
 
 def _same(values: Array) -> NDArray[np.bool_]:
-    """Which samples from the second on equal the one before in every column."""
+    """Mask of the samples, from the second on, that equal the one before in every column."""
     same = np.ones(max(len(values) - 1, 0), dtype=np.bool_)
     for column in values.T:
         same &= column[1:] == column[:-1]

@@ -2,9 +2,9 @@
 
 .. code-block:: text
 
-    minmax  sphere  ellipsoid_axis    the specified methods, starting values
+    simple_fits                       extremes, sphere, ellipsoid along the axes: specified methods, starting values
     ellipsoid                         the full fit: moments (one pass) -> distance (orthogonal) -> robust (outliers)
-    auto                              how much soft iron the samples show: sphere, three radii or the full matrix
+    shape_fit                         its least squares, or averaged over how much soft iron the samples show
     running                           one pass with its covariance: recursive, mergeable, with forgetting
     accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
     blur  blur_fit                    a compass that averages while it turns
@@ -12,7 +12,7 @@
     flight  motor  fixed_yaw          in flight, against the motors' currents, at one known heading
     ellipsoid_result                  the verdict on an ellipsoid
     result                            the one maker of results, for all of them
-    samples  shape  shape_fit  serial  heading  sections      what these share
+    samples  shape  serial  heading   what these share
 
 Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.context.MagContext`. It returns a
 :class:`calib.fit.FitResult` over offset and matrix, whose ``quality`` holds
@@ -39,14 +39,12 @@ from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.coverage import Advice, Coverage
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
-from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.minmax import fit_minmax
 from mavcal.calib.mag.moments import adjusted_least_squares
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
 from mavcal.calib.mag.running import RunningEllipsoid
 from mavcal.calib.mag.shape import MagModel
-from mavcal.calib.mag.sphere import fit_sphere
+from mavcal.calib.mag.simple_fits import fit_ellipsoid_axis, fit_minmax, fit_sphere
 
 __all__ = [
     "Advice",

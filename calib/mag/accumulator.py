@@ -15,7 +15,7 @@ from mavcal.calib.mag.ellipsoid import FEWEST, fit_ellipsoid
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.samples import Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
-from mavcal.calib.mag.sphere import solve_sphere
+from mavcal.calib.mag.simple_fits import solve_sphere
 
 Array = NDArray[np.float64]
 

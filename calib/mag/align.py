@@ -15,19 +15,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.errors import InvalidInputError, UndeterminedError, require_positive
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.align_lag import FieldLag, lag_of, turning_of
 from mavcal.calib.mag.align_solve import (
     AlignmentNoise,
     AlignmentSolution,
+    FieldLag,
     align,
     check_dip,
+    lag_of,
     linear_start,
     misclosures,
+    turning_of,
     two_stage_start,
 )
 from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.coverage import mask_bytes, visited
 from mavcal.calib.mag.orientation import QUIET, interpolated
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
@@ -44,7 +47,6 @@ from mavcal.calib.mag.result import (
 )
 from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
 from mavcal.calib.mag.samples import axis_word, check_not_flat, check_samples
-from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, weakened_information
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -92,7 +94,7 @@ class AlignFit:
     variance_inflation: float
     down: Array
     lag: FieldLag | None
-    """What is left of the lag after `shift`, and its uncertainty; None: the movement does not show it, or stated."""
+    """Lag left after `shift`, and its uncertainty; None: it was stated, or the movement does not show it."""
     shift: float
     n_gated: int
     n_outliers: int
@@ -193,8 +195,7 @@ def _check(t: Array, samples: Array, vertical: Vertical, gate: float, time_offse
         raise InvalidInputError("times go back: sort the samples, or cut the recording there")
     if not 0.0 < gate < 1.0:
         raise InvalidInputError(f"the gate on specific force is between 0 and 1, not {gate}")
-    if not (math.isfinite(vertical.gravity) and vertical.gravity > 0.0):
-        raise InvalidInputError(f"gravity must be positive, not {vertical.gravity}")
+    require_positive(vertical.gravity)
     if time_offset is not None and not math.isfinite(time_offset):
         raise InvalidInputError(f"a time offset is a number of seconds, not {time_offset}")
 
@@ -295,7 +296,7 @@ def _trimmed(
 
 
 def _near(residuals: Array) -> NDArray[np.bool_]:
-    """Which rows (N, 2) are within six standard deviations of the others, and of rounding."""
+    """Mask of rows (N, 2) within six standard deviations of the others, and of rounding."""
     size = np.abs(residuals)
     return np.asarray((size <= OUTLIER * MAD_TO_SD * np.median(size, axis=0) + 1e-9).all(axis=1))
 

@@ -44,7 +44,7 @@ _STEP = 0.005  # s by which the window is moved to see what a time lag does
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """How the body turned during the window of every magnetometer sample.
+    """Rotation of the body during the window of every magnetometer sample.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Rates:
     interval: float = 0.0
 
     def shrinkage(self) -> Array:
-        """How much shorter a field perpendicular to the axis of rotation reads, (N,): 0.01 is one percent."""
+        """Shortening of a field perpendicular to the axis of rotation, (N,): 0.01 is one percent."""
         return _shrinkage(self.scatter)
 
     def sharp(self, limit: float = CORRECTABLE) -> NDArray[np.bool_]:
@@ -110,7 +110,7 @@ class Rates:
         return late.turned(axes)
 
     def followed_by(self, *others: Rates) -> Rates:
-        """These and the `others`, in this order."""
+        """Both lists joined, `others` behind."""
         parts = (self, *others)
         return Rates(
             np.concatenate([p.ends for p in parts]),
@@ -124,7 +124,7 @@ class Rates:
 
 
 def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float) -> Rates:
-    """How the body turned in the window that ends at each magnetometer sample.
+    """Rotation of the body in the window that ends at each magnetometer sample.
 
     Parameters
     ----------

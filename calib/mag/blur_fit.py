@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.auto import SOFT_IRON_SD
 from mavcal.calib.mag.blur import Rates, axes_of_gyro, deblurred
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
@@ -36,7 +35,7 @@ from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
 from mavcal.calib.mag.samples import Cloud, counted_as, not_repeated, still_stretches
 from mavcal.calib.mag.shape import MagModel, correction
-from mavcal.calib.mag.shape_fit import Asked
+from mavcal.calib.mag.shape_fit import SOFT_IRON_SD, Asked
 
 Array = NDArray[np.float64]
 
@@ -68,7 +67,7 @@ _ALIKE = 0.99  # least precision at which samples count as alike
 
 @dataclass(frozen=True, eq=False)
 class _Timing:
-    """What is known of the blur, and what that means for the ellipsoid."""
+    """Estimate of the blur, and its effect on the ellipsoid."""
 
     state: Array
     """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
@@ -164,7 +163,7 @@ def _timing(
     prior_sd: float | None,
     readings_worth: Array | None,
 ) -> _Timing:
-    """What is known of the blur, improved by one step from `before`; `shape` is the fit of `before`."""
+    """Estimate of the blur after one step from `before`; `shape` is the fit of `before`."""
     model = correction(shape.ellipsoid, None)
 
     samples = deblurred(kept, _adjusted(slow, before.state), model)

@@ -1,4 +1,9 @@
-"""Coverage of a live calibration: information, predicted heading error, and where to turn next."""
+"""Coverage of a live calibration: information, predicted heading error, and where to turn next.
+
+Eighty sections of the sphere, every face of an icosahedron cut into four, say where the field was seen, as coverage
+masks of MAVLink have them. A direction belongs to the section whose centre is nearest. The numbering is our own: draw
+with :data:`CENTRES`.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.sections import N_SECTIONS, mask_bytes, visited
 from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, Ellipsoid, correction, correction_covariance
 from mavcal.calib.posture import tilted
 
 Array = NDArray[np.float64]
 
+N_SECTIONS = 80
 # What is believed of any compass before the first sample, relative to the field: it keeps predictions finite.
 _OFFSET_SD = 1.0
 _SOFT_IRON_SD = 0.3
@@ -26,6 +31,53 @@ _RING = 24  # field directions that stand for one turn about the vertical
 _SHARE = 0.2  # of the samples so far that a next turn is taken to add
 
 _SIDES = (("nose", "tail"), ("right side", "left side"), ("belly", "top"))
+
+
+def _centres() -> Array:
+    golden = (1.0 + 5.0**0.5) / 2.0
+    vertices = np.array(
+        [np.roll((0.0, s, t * golden), k) for k in range(3) for s, t in itertools.product((1.0, -1.0), repeat=2)]
+    )
+    vertices /= np.linalg.norm(vertices[0])
+    edge = min(np.linalg.norm(vertices[0] - v) for v in vertices[1:])
+    centres = []
+    for corners in itertools.combinations(vertices, 3):
+        if all(np.linalg.norm(p - q) < 1.01 * edge for p, q in itertools.combinations(corners, 2)):
+            middles = [_unit(p + q) for p, q in itertools.combinations(corners, 2)]
+            centres.append(_unit(np.sum(middles, axis=0)))
+            # The combinations are (0, 1), (0, 2), (1, 2): a corner's two middles are those that name it.
+            for corner, (i, j) in zip(corners, ((0, 1), (0, 2), (1, 2)), strict=True):
+                centres.append(_unit(corner + middles[i] + middles[j]))
+    return np.array(centres)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+CENTRES = _centres()
+"""Unit vectors to the middles of the sections, (80, 3)."""
+
+
+def sections(directions: ArrayLike) -> NDArray[np.intp]:
+    """Number of the section (0..79) of each of `directions` (N, 3), of any length but 0."""
+    return np.asarray(np.argmax(np.asarray(directions, dtype=np.float64) @ CENTRES.T, axis=1))
+
+
+def visited(directions: ArrayLike) -> NDArray[np.bool_]:
+    """Sections (80,) that hold at least one of `directions` (N, 3)."""
+    result = np.zeros(N_SECTIONS, dtype=np.bool_)
+    result[sections(directions)] = True
+    return result
+
+
+def mask_bytes(seen: NDArray[np.bool_]) -> list[int]:
+    """The ten bytes of a coverage mask, section i in bit ``i % 8`` of byte ``i // 8``.
+
+    >>> mask_bytes(np.arange(80) == 9)[:3]
+    [0, 2, 0]
+    """
+    return [int(b) for b in np.packbits(seen, bitorder="little")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +101,7 @@ class Coverage:
     information: Array
     """Sum of ``J^T J`` for unit noise and unit field, (9, 9)."""
     seen: NDArray[np.bool_]
-    """Sections of :mod:`calib.mag.sections` that were visited, (80,)."""
+    """Sections of :data:`CENTRES` that were visited, (80,)."""
     count: int
 
     @classmethod

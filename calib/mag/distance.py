@@ -189,13 +189,13 @@ class Solution:
     last: Pass
     noise_variance: float
     prior: Array
-    """What was added to the information for the prior, (9, 9)."""
+    """Information that the prior added, (9, 9)."""
     steps: int
 
 
 @dataclass(frozen=True)
 class ShapeTerms:
-    """Which parameters are free, and the prior on the soft iron."""
+    """The free parameters, and the prior on the soft iron."""
 
     model: MagModel = MagModel.SYMMETRIC
     prior_sd: float | None = None

@@ -15,18 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError, NotConvergedError, UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitResult
-from mavcal.calib.mag.auto import averaged_shape
 from mavcal.calib.mag.context import MagContext, MagFacts
+from mavcal.calib.mag.coverage import visited
 from mavcal.calib.mag.distance import ALL_SIDES, score_rows
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.result import UNDETERMINED_SD, plausible_field, refusal
 from mavcal.calib.mag.robust import find_start
 from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples, real_array
-from mavcal.calib.mag.sections import visited
 from mavcal.calib.mag.serial import white_variance
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid, MagModel, correction
-from mavcal.calib.mag.shape_fit import METHOD, Asked, minimum, with_uncertainty
+from mavcal.calib.mag.shape_fit import METHOD, Asked, averaged_shape, minimum, with_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -63,7 +62,7 @@ def fit_ellipsoid(
         uncertainty). Integers are not copied.
     model
         :class:`~calib.mag.shape.MagModel`: ``offset`` (sphere), ``diagonal`` (three radii), ``symmetric``; or ``auto``:
-        the three of them, weighed by their likelihood (:mod:`calib.mag.auto`).
+        the three of them, weighed by their likelihood (:mod:`calib.mag.shape_fit`).
     robust
         True: Tukey's bisquare; False: least squares; None: bisquare if a sample is off by more than six standard
         deviations of the others.
@@ -178,7 +177,7 @@ def _by_soft_iron(samples: Array, sphere: Ellipsoid) -> Array:
 
 
 def _why(samples: Array, fit: ShapeFit) -> str:
-    """What kept the ellipsoid from converging, by what the sphere leaves."""
+    """Reason why the ellipsoid did not converge, from the residuals of the sphere."""
     rms = math.sqrt(float(np.mean(fit.residuals**2)))
     noise = math.sqrt(white_variance(fit.residuals))
     seen = float(visited((samples - fit.ellipsoid.offset) @ correction(fit.ellipsoid, None).matrix.T).mean())

@@ -33,7 +33,7 @@ TILT_SD = math.radians(0.3)
 KEPT_SD = 0.02
 """How much the entries of a once fitted matrix may be off. Chosen, not measured: what batteries change on board."""
 NEVER_FITTED_SD = 0.05
-"""The same of a matrix that never was: soft iron costs 3 to 9 % of the field (:mod:`calib.mag.sphere`)."""
+"""The same of a matrix that never was: soft iron costs 3 to 9 % of the field (:mod:`calib.mag.simple_fits`)."""
 
 # Error model of WMM2025, one sigma, crustal field included (its technical report): nT in the horizontal field.
 _DECLINATION_SD = 0.26, 5417.0

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, estimate, estimated_soft_iron_sd
 from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, prepared, unusable
@@ -24,6 +23,7 @@ from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.mag.motor_hidden import unusable_attitude
 from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, CompassFit, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
@@ -111,7 +111,7 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
 
 
 def _departure(rough: float, outliers: float) -> str:
-    """What is wrong, and only that: how far the two are apart, or how many samples leave the others."""
+    """Faults alone: distance between the two, or number of samples that leave the others."""
     if rough > _ROUGHEST:
         return f"compass and attitude do not agree: {rough:.0%} of the field is left of any offset and Earth's field"
     return f"{outliers:.0%} of the compass's samples depart from the Earth's field by more than their noise"
@@ -302,7 +302,7 @@ def _native(found: FlightEstimate, data: FlightInput, context: MagContext, stren
 
 
 def directions(found: FlightEstimate, strength: float) -> list[dict[str, Any]]:
-    """What the flight alone determines of offset and matrix, best first: combinations with their sd (field = 1)."""
+    """Combinations of offset and matrix that the flight alone determines, best first, with their sd (field = 1)."""
     scale = np.concatenate([np.full(3, strength), np.ones(6)])
     free = found.prior.sd[:9] > 0.0
     covariance = (found.solved.covariance[:9, :9] / np.outer(scale, scale))[np.ix_(free, free)]

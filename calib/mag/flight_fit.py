@@ -73,7 +73,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What is known beforehand: the field (None: not), the soft iron's sd (0: as in force), the motors' (drive) sd."""
+    """Priors: the field (None: unknown), sd of the soft iron (0: as in force), sd of the motors by drive."""
 
     field: EarthField | None
     soft_iron_sd: float
@@ -250,7 +250,7 @@ def _local_median(t: Array, length: Array) -> Array:
 
 
 def correlation_time(residuals: Array) -> float:
-    """How many of the successive `residuals` (N, 3) count as one: ``1 + 2 sum of correlations``, up to the first small.
+    """Correlation time of `residuals` (N, 3), in samples: ``1 + 2 sum of correlations``, up to the first small one.
 
     >>> correlation_time(np.tile([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]], (50, 1)))
     1.0

@@ -94,7 +94,7 @@ def prepared(
 
 
 def unusable(data: FlightInput) -> str:
-    """Why nothing can be fitted; empty if something may."""
+    """Reason to refuse the fit; empty: there is none."""
     mag, turning = data.mag, data.turning
     if turning.gyro is None and turning.attitude is None:
         return "nothing says how the vehicle turned: the recording has neither a gyroscope nor an attitude"
@@ -159,7 +159,7 @@ def _or_none(channel: Channel | None) -> Channel | None:
 
 
 def _ranges(turning: Turning) -> tuple[float, float]:
-    """How far it turned about the vertical, and about the horizontal, degrees; by the gyroscope where no attitude."""
+    """Turn about the vertical and about the horizontal, degrees; from the gyroscope where there is no attitude."""
     if turning.attitude is not None:
         track = Rotation.from_quat(turning.attitude.values[:, [1, 2, 3, 0]])
         yaw, pitch, roll = np.unwrap(track.as_euler("ZYX"), axis=0).T

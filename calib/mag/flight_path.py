@@ -41,7 +41,7 @@ _WINDOW = 5.0  # s, over which gyroscope and attitude are compared for a first o
 
 @dataclass(frozen=True, eq=False)
 class Turning:
-    """What is known of the motion: a gyroscope, the log's attitude, or both, in body axes."""
+    """Sources of the motion: a gyroscope, the log's attitude, or both, in body axes."""
 
     gyro: Channel | None
     attitude: Channel | None
@@ -104,7 +104,7 @@ class Path:
 
     @property
     def knots(self) -> int:
-        """How many there are."""
+        """Number of knots."""
         return len(self.observed)
 
 

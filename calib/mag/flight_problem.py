@@ -89,7 +89,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of unknowns."""
         return 9 + 3 * self.drives + NUISANCES
 
     def _after(self, first: int, last: int) -> slice:
@@ -161,7 +161,7 @@ def solve(flight: Flight, prior: FlightPrior, start: Array, knots: Array | None 
 
 
 def predicted(flight: Flight, x: Array, knots: Array) -> Array:
-    """What the compass should read (N, 3)."""
+    """Predicted readings of the compass (N, 3)."""
     return _Model.of(flight, x, knots).reading(flight, x)
 
 
@@ -199,14 +199,14 @@ class _Model:
 
 
 def _process(path: Path, x: Array, knots: Array, layout: Layout) -> tuple[Array, Array]:
-    """What the gyroscope misses from knot to knot (J - 1, 3), and how its offset wanders (J - 1, 3)."""
+    """Residuals of the gyroscope from knot to knot (J - 1, 3), and of the walk of its offset (J - 1, 3)."""
     mean = 0.5 * (knots[1:, 3:] + knots[:-1, 3:])
     expected = path.by_scale @ x[layout.scale] - np.einsum("nij,nj->ni", path.by_bias, mean)
     return np.diff(knots[:, :3], axis=0) - expected, np.diff(knots[:, 3:] + path.bias, axis=0)
 
 
 def _attitude(path: Path, x: Array, knots: Array, layout: Layout) -> Array:
-    """What the log's attitude misses (J, 3)."""
+    """Residuals of the log's attitude (J, 3)."""
     return np.asarray(path.observed - knots[:, :3] - path.knot_rotations[:, :, :2] @ x[layout.level])
 
 

@@ -138,7 +138,7 @@ def _relative_sd(found: ChainSolution, prior: ImuPrior | None) -> Array:
 
 
 def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ...]]:
-    """Why nothing of it may be used, and which parameters are open."""
+    """Reason to use nothing of it, and the parameters that stay open."""
     rough = float(np.sqrt((_residuals(found) ** 2).mean()))
     if rough > _ROUGHEST:
         return (
@@ -160,7 +160,7 @@ def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ..
 
 
 def _residuals(found: ChainSolution) -> Array:
-    """What the compass misses (N, 3), relative to the field."""
+    """Residuals of the compass (N, 3), relative to the field."""
     return found.solution.at.poses * math.sqrt(found.problem.covariances[0, 0, 0])
 
 
@@ -268,7 +268,7 @@ def _warnings(found: ChainSolution, context: MagContext) -> tuple[str, ...]:
 
 
 def _unusable(mag: Channel, gyro: Channel) -> str:
-    """Why nothing can be fitted; empty if something may."""
+    """Reason to refuse the fit; empty: there is none."""
     for channel, least in ((mag, _LEAST_SAMPLES), (gyro, 2 * _LEAST_SAMPLES)):
         if len(channel) < least:
             return f"{len(channel)} finite samples of the {channel.sensor}: {least} are needed"
@@ -298,8 +298,5 @@ def _check(mag: Channel, gyro: Channel, delay: float | None) -> None:
         raise InvalidInputError(f"the gyroscope must be in rad/s, not in {gyro.unit}: state --unit-gyro")
     if delay is not None and not abs(delay) <= LONGEST_DELAY:
         raise InvalidInputError(f"the delay of a compass is at most {LONGEST_DELAY} s either way, not {delay}")
-    for channel in (mag, gyro):
-        if channel.values.shape[1:] != (3,):
-            raise InvalidInputError(f"the {channel.sensor} needs three columns, not {channel.values.shape[1]}")
-        if not np.isfinite(channel.t).all() or (np.diff(channel.t) < 0.0).any():
-            raise InvalidInputError(f"the time of the {channel.sensor} goes back or is not finite: sort the samples")
+    mag.require_ordered()
+    gyro.require_ordered()

@@ -172,7 +172,7 @@ class Moments:
         return ellipsoid.moved(self.centre, self.scale), self.scale * float(np.sqrt(max(variance, 0.0)))
 
 
-def adjusted_least_squares(samples: NDArray[Any], model: MagModel = MagModel.SYMMETRIC) -> tuple[Ellipsoid, float]:
+def adjusted_least_squares(samples: NDArray[Any]) -> tuple[Ellipsoid, float]:
     """The ellipsoid of `samples` (N, 3) of any real type, and the noise of one: one pass, without uncertainty.
 
     Raises
@@ -182,11 +182,11 @@ def adjusted_least_squares(samples: NDArray[Any], model: MagModel = MagModel.SYM
     UndeterminedError
         If the samples are too few, flat, or lie on no ellipsoid.
     """
-    check_real_samples(samples, model.size + 1)
+    check_real_samples(samples, MagModel.SYMMETRIC.size + 1)
     cloud = Cloud.of(samples)
     moments = Moments.of(cloud)
     check_not_flat(moments.scatter())
-    ellipsoid, noise_sd = moments.ellipsoid(model)
+    ellipsoid, noise_sd = moments.ellipsoid(MagModel.SYMMETRIC)
     return ellipsoid.moved(cloud.centre, cloud.scale), cloud.scale * noise_sd
 
 

@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
-from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
+from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log, unusable_attitude
 from mavcal.calib.mag.motor_text import disagreement, terms_text
 from mavcal.calib.mag.result import CompassFit, compass_result
 from mavcal.calib.recording import Channel
@@ -240,7 +239,7 @@ def _sds(candidate: Candidate) -> float:
 
 
 def _unknown(candidate: Candidate) -> float:
-    """How uncertain the term is over the range of its drive, relative to the field."""
+    """Uncertainty of the term over the range of its drive, relative to the field."""
     if candidate.drive is None:
         return 0.0
     sd = np.sqrt(np.diag(candidate.covariance)).reshape(-1, 3)
@@ -289,7 +288,7 @@ def _verdict(
 
 
 def _why_unknown(candidates: Sequence[Candidate]) -> str:
-    """Why the field of the motors cannot be told: what drives them hardly changes, or other things change with it."""
+    """Reason why the motors' field is not determined: their drive hardly changes, or other things change with it."""
     best = min(candidates, key=_unknown)
     assert best.drive is not None
     moved, least = float(best.drive.range.max()), _MOVES[best.drive.kind]
@@ -428,7 +427,7 @@ def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mappin
 
 
 def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
-    """Which of the conditions the best drive does not meet."""
+    """Conditions that the best drive does not meet."""
     for who, gains, sds in _gains(best, none):
         if (gains > SURE * sds).all():
             continue

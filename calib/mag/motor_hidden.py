@@ -1,4 +1,4 @@
-"""Held-out prediction errors with and without the motors' term.
+"""Held-out prediction errors with and without the motors' term, and whether the attitude is to blame.
 
 Two attitudes turn the Earth's field: the one that the gyroscope carries (:mod:`calib.mag.flight_fit`), and the log's
 own, taken for the truth. Each is wrong in its own way: the first drifts, the second leans on the very compasses. A term
@@ -18,6 +18,7 @@ from mavcal.calib.mag.flight_fit import FlightEstimate, correlation_time
 from mavcal.calib.mag.flight_input import FlightInput
 from mavcal.calib.mag.flight_path import attitudes
 from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,11 @@ SURE = 2.0
 _FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10
 _CLIPPED = 5.0  # median lengths of a residual: what lies farther counts as this far
 _RIDGE = 1e-3  # of the diagonal: keeps field and offset apart on a flight that hardly turns
+_ROUGHEST = 0.15  # of the field, that a compass departs from the attitude's
+_STEADY = 0.05  # of the field: a length that is no worse belongs to a sound compass
+_BY_ATTITUDE = 5.0  # times the spread of the length that an attitude has to miss by
+_ALL = 2.0  # of the field: no direction is wrong by more
+_NORMAL = 1.4826  # sd of a normal variable over its median deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +94,7 @@ def blocks_of(t: Array) -> NDArray[np.intp]:
 
 
 def by_gyroscope(data: FlightInput, fit: FlightEstimate) -> Hidden:
-    """What `fit` predicts of each block that is hidden from it."""
+    """Predictions of `fit` for each block that is hidden from it."""
     block = blocks_of(data.samples.t)
     lengths = np.zeros(len(block))
     for number in np.unique(block):
@@ -144,3 +150,32 @@ def _least_squares(design: Array, y: Array) -> tuple[Array, Array]:
     normal = rows.T @ rows
     inverse = np.asarray(np.linalg.inv(normal + _RIDGE**2 * np.diag(np.diag(normal))), dtype=np.float64)
     return np.asarray(inverse @ (rows.T @ y.ravel())), inverse
+
+
+def unusable_attitude(data: FlightInput, found: FlightEstimate, in_force: TriadModel, context: MagContext) -> str:
+    """A sentence that blames the logged attitude instead of the compass; empty: the attitude is usable.
+
+    The Earth's field is as long in any attitude: a compass that reads one length is sound, and its correction too.
+    """
+    strength = float(np.linalg.norm(found.x[found.layout.field]))
+    steady = _steadiness(data, in_force)
+    rough = float(np.median(np.linalg.norm(found.solved.residuals, axis=1))) / strength
+    if data.turning.gyro is None:  # the estimate bends an attitude that nothing carries to the compass
+        gain = in_force.matrix @ data.sensor_from_body
+        trusting = by_log(data, None, np.zeros((0, 3)), gain, context)
+        rough = rough if trusting is None else max(rough, trusting.rms / strength)
+    if rough < _ROUGHEST or steady > _STEADY or rough < _BY_ATTITUDE * steady:
+        return ""
+    others = "--attitude log" if data.turning.attitude is None else "--attitude gyro"
+    return (
+        f"the attitude is unusable: the compass reads a field steady to {100.0 * steady:.2g} %, but the attitude would "
+        f"turn it by {100.0 * min(rough, _ALL):.0f} % of it. Check the gyroscope's offset and the axes, or try the "
+        f"other attitude ({others})"
+    )
+
+
+def _steadiness(data: FlightInput, in_force: TriadModel) -> float:
+    """Spread of the length that the compass reads through the correction in force, relative; robust."""
+    lengths = np.linalg.norm(in_force.apply(data.mag.values), axis=1)
+    middle = float(np.median(lengths))
+    return _NORMAL * float(np.median(np.abs(lengths - middle))) / middle if middle > 0.0 else math.inf

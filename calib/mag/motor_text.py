@@ -11,7 +11,7 @@ _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude m
 
 
 def terms_text(term_of_drive: Mapping[str, Any]) -> str:
-    """What the motors add with its sd, by the gyroscope and by the log's attitude."""
+    """The motors' field with its sd, by the gyroscope and by the log's attitude."""
     text = _listed(term_of_drive["interference"], term_of_drive["interference_sd"], term_of_drive)
     if term_of_drive["by_log"] is None:
         return text

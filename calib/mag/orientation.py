@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.coverage import sections
 from mavcal.calib.mag.free_rotation import (
     Euler,
     angle_between,
@@ -27,7 +28,6 @@ from mavcal.calib.mag.free_rotation import (
     mirror_words,
     turn,
 )
-from mavcal.calib.mag.sections import sections
 
 Array = NDArray[np.float64]
 
@@ -177,8 +177,6 @@ def find_orientation(
     *,
     gyro: ArrayLike | None = None,
     inclination: float | None = None,
-    gravity: float = STANDARD_GRAVITY,
-    candidates: tuple[Mounting, ...] = RIGHT_ANGLES,
     stated: ArrayLike | None = None,
 ) -> OrientationResult:
     """Find the rotation that is missing between magnetometer and body.
@@ -188,16 +186,13 @@ def find_orientation(
     mag : shape (N, 3)
         Corrected field in what is taken for the body frame, any unit.
     accel : shape (N, 3)
-        Corrected specific force in the body frame at the same times, m/s2.
+        Corrected specific force in the body frame at the same times, m/s2; samples that are not within 10 % of gravity
+        are left out.
     gyro : shape (N, 3) or None
         Rates at the same times, rad/s: with them a time lag between magnetometer and accelerometer is not taken for a
         misalignment (50 ms at 60 deg/s are 3 degrees).
-    gravity
-        m/s2; samples whose specific force is not within 10 % of it are left out.
     inclination
         Dip of the field, rad. None: it is estimated for every rotation, which takes more tilt to tell them apart.
-    candidates
-        Rotations by right angles to choose from; the first is the one that is stated now.
     stated : shape (3, 3) or None
         The stated mounting, body from sensor: with it a mirrored axis is named as the sensor has it.
 
@@ -208,22 +203,22 @@ def find_orientation(
     UndeterminedError
         If fewer than 20 samples are near 1 g.
     """
-    field, down, used = _unit_vectors(mag, accel, gravity)
+    field, down, used = _unit_vectors(mag, accel)
     turning = None if gyro is None else _rates(gyro, used)
     if turning is not None and float(np.sqrt(np.mean(turning**2))) < _STILL:
         turning = None  # at rest a lag has no effect and cannot be told
     sine = None if inclination is None else math.sin(inclination)
-    squares = np.array([_mean_square(down, field @ c.matrix.T, sine) for c in candidates])
+    squares = np.array([_mean_square(down, field @ c.matrix.T, sine) for c in RIGHT_ANGLES])
     order = np.argsort(squares, kind="stable")
-    best, second = candidates[order[0]], squares[order[1]]
+    best, second = RIGHT_ANGLES[order[0]], squares[order[1]]
     least = max(squares[order[0]], _LEAST**2)
     effective = len({*zip(sections(field).tolist(), sections(down).tolist(), strict=True)})
     margin = 0.5 * effective * (second / least - 1.0)
-    rms = {candidates[i].name: math.sqrt(squares[i]) for i in order}
+    rms = {RIGHT_ANGLES[i].name: math.sqrt(squares[i]) for i in order}
     samples = _Samples(down, field, turning, sine, effective)
-    verdict, message = _verdict(candidates, order, squares, margin)
+    verdict, message = _verdict(order, squares, margin)
     small = _misalignment(samples, best.matrix)
-    fitted, freely, reason = _by_any_angles(samples, candidates, squares, stated)
+    fitted, freely, reason = _by_any_angles(samples, squares, stated)
     if freely is not None:
         verdict, message = freely, reason
     matrix = fitted.matrix if fitted is not None and verdict == MountingVerdict.BY_ANGLES else best.matrix
@@ -272,10 +267,10 @@ class _Samples:
 
 
 def _by_any_angles(
-    samples: _Samples, candidates: tuple[Mounting, ...], squares: Array, stated: ArrayLike | None
+    samples: _Samples, squares: Array, stated: ArrayLike | None
 ) -> tuple[FittedRotation | None, MountingVerdict | None, str]:
     """The rotation by any angles, and what it says beyond the right-angle ones (None: nothing)."""
-    starts = np.array([c.matrix for c in candidates])
+    starts = np.array([c.matrix for c in RIGHT_ANGLES])
     rotations = best_rotations(samples.down, samples.field, samples.sine, starts)
     rotations = best_rotations(*samples.kept(rotations[0]), samples.sine, np.array(rotations))
     square = samples.mean_square(rotations[0])
@@ -295,7 +290,7 @@ def _by_any_angles(
     if small is None:
         return None, None, ""
     fitted = FittedRotation(turn(small.turn) @ rotations[0], small.covariance + _ACCEL_SD**2 * np.eye(3))
-    askew, nearest = min((angle_between(c.matrix, fitted.matrix), k) for k, c in enumerate(candidates))
+    askew, nearest = min((angle_between(c.matrix, fitted.matrix), k) for k, c in enumerate(RIGHT_ANGLES))
     if askew <= max(ASKEW, _CERTAIN * fitted.sd):
         return fitted, None, ""
     if any(not samples.clearly(square, samples.mean_square(other)) for other in rotations[1:]):
@@ -311,7 +306,7 @@ def _by_any_angles(
         MountingVerdict.BY_ANGLES,
         (
             f"mounted turned by {fitted.euler}, {math.degrees(askew):.0f} deg from the nearest right-angle mounting "
-            f"({candidates[nearest].name})"
+            f"({RIGHT_ANGLES[nearest].name})"
         ),
     )
 
@@ -334,14 +329,14 @@ def _degrees(angles: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _unit_vectors(mag: ArrayLike, accel: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
     field, force = np.asarray(mag, dtype=np.float64), np.asarray(accel, dtype=np.float64)
     if field.ndim != 2 or field.shape[1:] != (3,) or field.shape != force.shape:
         raise InvalidInputError(f"magnetometer {field.shape} and accelerometer {force.shape} must both be (N, 3)")
     if not (np.isfinite(field).all() and np.isfinite(force).all()):
         raise InvalidInputError("magnetometer and accelerometer must be finite: drop the other rows first")
     length, strength = np.linalg.norm(force, axis=1), np.linalg.norm(field, axis=1)
-    used = (np.abs(length / gravity - 1.0) <= QUIET) & (strength > 0.0)
+    used = (np.abs(length / STANDARD_GRAVITY - 1.0) <= QUIET) & (strength > 0.0)
     if np.count_nonzero(used) < FEWEST:
         raise UndeterminedError(
             f"{np.count_nonzero(used)} of {len(field)} samples show the vertical: {FEWEST} are needed",
@@ -365,10 +360,8 @@ def _mean_square(down: Array, field: Array, sine: float | None) -> float:
     return float(squares[: max(1, int(_KEPT * len(squares)))].mean())
 
 
-def _verdict(
-    candidates: tuple[Mounting, ...], order: NDArray[np.intp], squares: Array, margin: float
-) -> tuple[MountingVerdict, str]:
-    first, second = candidates[order[0]], candidates[order[1]]
+def _verdict(order: NDArray[np.intp], squares: Array, margin: float) -> tuple[MountingVerdict, str]:
+    first, second = RIGHT_ANGLES[order[0]], RIGHT_ANGLES[order[1]]
     rms = math.sqrt(squares[order[0]])
     if rms > _EXPLAINS:
         return MountingVerdict.UNEXPLAINED, (

@@ -21,6 +21,7 @@ from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_eart
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, FitStatus, parameter_names
 from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.triad import TriadModel
 
@@ -191,11 +192,8 @@ def rotation_covariance(model: TriadModel, covariance: Array) -> Array:
 
 def mounting_of(model: TriadModel, covariance: Array) -> dict[str, float]:
     """Angle of the rotation in the matrix of `model`, and its standard deviation about the worst axis, degrees."""
-    rotation = model.rotation
-    skew = rotation - rotation.T
-    sine = 0.5 * math.hypot(skew[2, 1], skew[0, 2], skew[1, 0])
     worst = float(np.linalg.eigvalsh(rotation_covariance(model, covariance))[-1])
     return {
-        "mounting_deg": math.degrees(math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))),
+        "mounting_deg": math.degrees(angle_between(np.eye(3), model.rotation)),
         "mounting_sd_deg": math.degrees(math.sqrt(max(worst, 0.0))),
     }

@@ -91,7 +91,7 @@ class RingsFit:
         return np.asarray(np.einsum("k,kilj,l->ij", solve, self._blocks(), solve), dtype=np.float64)
 
     def chi2(self) -> tuple[float, int]:
-        """How far the centres disagree in units of their covariance, and the degrees of freedom."""
+        """Disagreement of the centres in units of their covariance, and the degrees of freedom."""
         count = len(self.rings)
         values, vectors = np.linalg.eigh(
             np.eye(count) - np.column_stack([np.ones(count), self.faces]) @ centres_inverse(self.faces)
@@ -181,7 +181,7 @@ def _without_spikes(samples: Array) -> Array:
 
 
 def _inside(residuals: Array) -> NDArray[np.bool_]:
-    """Which rows (N, 2) are no outliers: none where the ring has no circle."""
+    """Mask (N, 2) of the rows that are no outliers: none where the ring has no circle."""
     if not len(residuals):
         return np.zeros(0, dtype=np.bool_)
     sd = MAD_TO_SD * np.median(np.abs(residuals), axis=0)

@@ -141,7 +141,7 @@ def _turned(samples: Sequence[Array]) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Scale:
-    """What makes a matrix of columns one of microtesla: samples in the corrected space of ``V^-1``."""
+    """Scale from a matrix in columns to microtesla: samples in the corrected space of ``V^-1``."""
 
     fit: RingsFit
     strength: float | None

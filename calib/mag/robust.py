@@ -13,7 +13,7 @@ from mavcal.calib.mag.distance import Distances, Pass
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.samples import Cloud
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
-from mavcal.calib.mag.sphere import solve_sphere
+from mavcal.calib.mag.simple_fits import solve_sphere
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _CLEARLY = 0.7  # noise left by another start, relative, from which on that one 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where to begin the iteration."""
+    """Starting point of the iteration."""
 
     ellipsoid: Ellipsoid
     noise_sd: float

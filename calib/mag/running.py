@@ -50,7 +50,7 @@ _FACTORS = [
 
 
 def _sixth_order_table() -> NDArray[np.intp]:
-    """Where in the flattened (20, 20) gram matrix the mean of ``psi_i psi_j psi_q`` stands, (10, 10, 10)."""
+    """Index into the flattened (20, 20) gram matrix of the mean of ``psi_i psi_j psi_q``, (10, 10, 10)."""
     where: dict[tuple[int, ...], int] = {}
     for p, q in itertools.product(range(20), repeat=2):
         where.setdefault(tuple(_TWENTY[p] + _TWENTY[q]), 20 * p + q)

@@ -82,7 +82,7 @@ class Cloud:
 
 
 def not_repeated(samples: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which of `samples` (N, 3) differ from the one before.
+    """Mask of the `samples` (N, 3) that differ from the one before.
 
     A reading that repeats the last one to its last digit brings nothing new: it was sent twice, or the sensor was held
     still and its steps are coarser than its noise. Taken for samples with noise of their own they would make the
@@ -94,7 +94,7 @@ def not_repeated(samples: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def still_stretches(samples: Array, step: float) -> NDArray[np.intp]:
-    """Where each stretch of `samples` (N, 3) begins, whose readings stay within a few steps of their mean.
+    """First row of each stretch of `samples` (N, 3) whose readings stay within a few steps of their mean.
 
     A reading that moved on is a stretch of its own.
     """

@@ -18,7 +18,6 @@ from mavcal.calib.triad import TriadModel
 Array = NDArray[np.float64]
 
 N_PARAMETERS = 9
-OFFSET_NAMES = ("offset_x", "offset_y", "offset_z")
 
 ROWS = (0, 1, 2, 0, 0, 1)
 COLUMNS = (0, 1, 2, 1, 2, 2)

@@ -104,7 +104,7 @@ def _faces(source: Source, accel: Channel, options: Options) -> tuple[list[Face]
 
 
 def _face_means(parts: Sequence[tuple[Array | None, Channel]], *, all_samples: bool) -> list[Face]:
-    """What is down and the mean of every part, the noise shared by all of them; or sample by sample."""
+    """Face that is down and mean of every part, the noise shared by all of them; or sample by sample."""
     means = iter(() if all_samples else means_together([part for _, part in parts if len(part) > 1]))
     faces = []
     for down, part in parts:

@@ -75,7 +75,7 @@ class Method:
 
     @property
     def summary(self) -> str:
-        """What it finds, in a line."""
+        """One line that says what the method finds."""
         return ENTRIES[self.name].summary
 
     def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:

@@ -42,11 +42,11 @@ class Source:
         return tuple(self.recording.channel(sensor, i) for i in usable)
 
     def maybe(self, sensor: Sensor, instance: int) -> Channel | None:
-        """That channel, or None."""
+        """The channel of that sensor and instance; None: the recording has none."""
         return self.recording.channel(sensor, instance) if self._usable(sensor, instance) else None
 
     def companion(self, sensor: Sensor, instance: int) -> Channel | None:
-        """That channel, else the first one of its kind: on a rigid body any of them shows motion.
+        """The channel of the same instance, else the first one of its kind: on a rigid body any of them shows motion.
 
         PX4 counts accelerometers and gyroscopes by their own calibration rows, so one unit may have two numbers.
         """

@@ -73,12 +73,12 @@ class AllanFit:
     condition: float
 
 
-def octaves(n: int, per_octave: int = 1) -> NDArray[np.intp]:
-    """Averaging times in samples, `per_octave` to a factor of two, up to a sixth of `n`."""
+def octaves(n: int) -> NDArray[np.intp]:
+    """Averaging times in samples, each about twice the one before, up to a sixth of `n`."""
     if n < 2 * _LONGEST:
         return np.zeros(0, dtype=np.intp)
     top = np.log2(n / _LONGEST)
-    return np.unique(np.round(2.0 ** np.arange(0.0, top + 1e-9, 1.0 / per_octave)).astype(np.intp))
+    return np.unique(np.round(2.0 ** np.arange(0.0, top + 1e-9)).astype(np.intp))
 
 
 def overlapping_deviation(y: Array, rate: float, m: NDArray[np.intp]) -> AllanTable:

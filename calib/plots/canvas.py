@@ -59,7 +59,7 @@ def shown(unit: str) -> tuple[str, float]:
 
 
 def thinned(count: int) -> slice:
-    """Every so many of `count` samples that at most :data:`MOST` are left."""
+    """Slice that leaves at most :data:`MOST` of `count` samples, evenly spaced."""
     return slice(None, None, max(1, math.ceil(count / MOST)))
 
 

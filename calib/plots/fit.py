@@ -1,4 +1,7 @@
-"""Before and after a fit: its samples where they are given, else what the parameters say alone."""
+"""Before and after a fit: its samples where they are given, else what the parameters say alone.
+
+A fit by the method ``allan`` is its Allan deviation beside the model of white noise, bias instability and walk.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.drawing import Chart, Drawing, Picture, SpaceView, SphereMap, limits_of, sheet
+from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, SpaceView, SphereMap, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots import noise
 from mavcal.calib.plots.canvas import (
     AFTER,
     BEFORE,
@@ -19,8 +21,10 @@ from mavcal.calib.plots.canvas import (
     PALE,
     RULE,
     SHADES,
+    TOO_FEW,
     WIDTH,
     PlottedChannel,
+    density,
     name_of,
     shown,
     thinned,
@@ -32,8 +36,6 @@ Array = NDArray[np.float64]
 FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
 _MERIDIANS, _PARALLELS = 25, 13
 """Lines of the drawn ellipsoid."""
-
-
 _POLES: Final = ((0, 0), (90, 0), (0, 82), (172, 0), (-90, 0), (0, -82))
 """Longitude and latitude of :data:`FACES`, degrees; the outermost ones inside the frame."""
 
@@ -71,8 +73,8 @@ def plotted(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayL
 
 def _panels(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayLike | None) -> list[Picture]:
     if "adev" in fit.native:
-        deviation = noise.allan(fit.native, fit.unit)
-        return [deviation] if channel is None else [deviation, noise.spectrum(channel, fit.native)]
+        deviation = allan(fit.native, fit.unit)
+        return [deviation] if channel is None else [deviation, spectrum(channel, fit.native)]
     if channel is None:
         return [_drift(fit) if fit.model.polynomial is not None else _by_direction(fit)]
     return _sample_panels(fit, *_samples(fit, channel, temperature))
@@ -213,4 +215,42 @@ def _by_direction(fit: PlottedFit) -> Chart:
     chart.columns(places, before, BEFORE, "before")
     chart.line(x, [0.0, 0.0], RULE, thin=True)
     chart.bars(places + 0.35, np.zeros(len(places)), left, AFTER, "after, ± sd")
+    return chart
+
+
+def allan(native: Mapping[str, Any], unit: str) -> Chart:
+    """Measured deviation with its standard deviation as bars, the model as a line; an axis each."""
+    unit, factor = shown(unit)
+    tau, adev = np.asarray(native["tau"], dtype=np.float64), factor * np.asarray(native["adev"], dtype=np.float64)
+    models = [None if model is None else factor * np.asarray(model) for model in native["model_adev"]]
+    chart = Chart(
+        "Allan deviation", "averaging time, s", f"Allan deviation, {unit}", limits_of(tau, log=True),
+        limits_of(adev, *(model for model in models if model is not None), log=True), WIDTH, HEIGHT,
+        log_x=True, log_y=True, legend_rows=2,
+    )  # fmt: skip
+    for name, shade, measured, spread in zip("xyz", SHADES, adev, native["adev_relative_sd"], strict=True):
+        half = 0.0 if spread is None else np.asarray(spread)
+        chart.bars(tau, measured, measured * half, shade, f"{name} measured")
+    for name, shade, model in zip("xyz", SHADES, models, strict=True):
+        if model is not None:
+            chart.line(tau, model, shade, f"{name} model")
+    return chart
+
+
+def spectrum(channel: PlottedChannel, native: Mapping[str, Any]) -> Picture:
+    """Root power density of the samples, and the fitted white noise as dashes."""
+    unit, factor = shown(channel.unit)
+    if (found := density(channel.t, channel.values)) is None:
+        return Blank(TOO_FEW, WIDTH, HEIGHT)
+    hz, root = found[0], factor * found[1]
+    # N counts half a spectrum's sides
+    floors = [None if white is None else factor * white * np.sqrt(2.0) for white in native["N"]]
+    title, y = "Spectrum; dashes: white noise of the fit", limits_of(root, [f for f in floors if f], log=True)
+    x = limits_of(hz, log=True)
+    chart = Chart(title, "frequency, Hz", f"{unit} / √Hz", x, y, WIDTH, HEIGHT, log_x=True, log_y=True)
+    for name, shade, column in zip("xyz", SHADES, root.T, strict=True):
+        chart.line(hz, column, shade, name, thin=True)
+    for shade, floor in zip(SHADES, floors, strict=True):
+        if floor is not None:
+            chart.line(x, [floor, floor], shade, dashed=True)
     return chart

@@ -69,7 +69,7 @@ ENOUGH_S = 3.0
 
 @dataclasses.dataclass(frozen=True)
 class Gathered:
-    """How far the streams have come."""
+    """Progress of the streams."""
 
     messages: Mapping[int, int]
     """By instance, of those that come at all."""
@@ -80,7 +80,7 @@ class Gathered:
 
     @property
     def text(self) -> str:
-        """What came, in words."""
+        """Progress in words."""
         if not self.messages:
             return "no message of an inertial unit came"
         return f"{min(self.messages.values())} messages of the slowest inertial unit came"

@@ -2,6 +2,12 @@
 
 A compass whose field has the wrong strength is disturbed; what its direction is then says nothing more, so the
 direction is judged of the others only.
+
+Where headings disagree, a third reference finds the compass at fault, or all candidates are named. Witnesses are the
+majority of three compasses, the dip of the field, a heading that the operator gives, and the vehicle's own heading. The
+last is a witness against the compass that it follows, and never for it.
+
+The compensation of the motors is judged by what it takes away at full power.
 """
 
 from __future__ import annotations
@@ -15,12 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import calibration_names
+from mavcal.calib.firmware.names import MOTOR, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, counted, judged, unknown
-from mavcal.calib.preflight.disagreement import Headings, blamed
 from mavcal.calib.preflight.rest import Mean, evidence_lines
+from mavcal.calib.preflight.snapshot import Snapshot
+from mavcal.calib.recording import Sensor
 
+_VEHICLE = "the vehicle's own heading"
+_GIVE = "Check again and give the true heading of the nose: it tells which of them is off."
+_DECLINED = "The declination that is set by hand explains it."
 Array = NDArray[np.float64]
 
 _MAGNET = "Move the vehicle away from iron, magnets and cars and check again; if it persists, calibrate the compass."
@@ -28,6 +41,118 @@ _MOUNT = "Look whether the mast or the mount of the compass is bent or turned; t
 _PLACE = "Look whether the vehicle's position is right; if it is, move the vehicle ten metres away and check again."
 _LEVEL_NOSE = math.cos(math.radians(60.0))
 """Nose within 60 deg of the horizon: beyond, it has no heading."""
+_UT = {"ardupilot": 0.1, "px4": 100.0}
+_PX4_PER_KA = 1e-3
+_BY_CURRENT = {"ardupilot": (2,), "px4": (2, 3)}
+_TYPES = {"ardupilot": "COMPASS_MOTCT", "px4": "CAL_MAG_COMP_TYP"}
+_PER_MOTOR = 3
+_REMEDY = "Measure the motor compensation again, or switch it off."
+
+
+@dataclass(frozen=True)
+class Headings:
+    """Every number on the direction of the field, by compass."""
+
+    dips: Mapping[int, Measure]
+    pairs: Mapping[tuple[int, int], Measure]
+    own: Mapping[int, Measure]
+    given: Mapping[int, Measure]
+    declination: Measure | None
+
+
+def blamed(found: Headings, *, followed: int) -> list[Measure]:
+    """All measures, each with what is off if it is; `followed`: the compass that the vehicle's heading follows."""
+    together = not any(map(_off, found.pairs.values()))
+    measures = [_dip_witness(i, m, found, together=together) for i, m in found.dips.items()]
+    measures += [_pair(i, k, m, found, followed) for (i, k), m in found.pairs.items()]
+    measures += [_own(i, m, found, followed, together=together) for i, m in found.own.items()]
+    measures += [_by_stated_heading(i, m, found, together=together) for i, m in found.given.items()]
+    return measures + ([] if found.declination is None else [found.declination])
+
+
+def _off(measure: Measure) -> bool:
+    return measure.verdict in (Verdict.FAIL, Verdict.WARN)
+
+
+def _dip_witness(i: int, measure: Measure, found: Headings, *, together: bool) -> Measure:
+    count = len(found.dips)
+    if count > 1 and together and all(map(_off, found.dips.values())):
+        explanation = (
+            f"All {count} compasses agree with each other: the position is wrong, or iron is near the whole vehicle."
+        )
+        remedy = "Look whether the vehicle's position is right; if it is, move it ten metres away and check again."
+        return _with(measure, ("position", "surroundings"), explanation, remedy)
+    if count == 1:
+        return _with(measure, (_compass(i), "position"), "No second compass tells whether the position is wrong.")
+    return _with(measure, (_compass(i),))
+
+
+def _pair(i: int, k: int, measure: Measure, found: Headings, followed: int) -> Measure:
+    odd = _outlier_of_pair(i, k, found)
+    if odd is not None:
+        return _with(measure, (_compass(odd),), f"The other compasses agree: it is compass {odd + 1}.")
+    for what, witness in (("its dip is not the model's", found.dips), ("by the heading given", found.given)):
+        bad = [n for n in (i, k) if n in witness and _off(witness[n])]
+        if len(bad) == 1:
+            return _with(measure, (_compass(bad[0]),), f"Compass {bad[0] + 1} is the one that is off: {what}.")
+    other = k if followed == i else i
+    if followed in (i, k) and found.own and _off(found.own[followed]) and not _off(found.own[other]):
+        explanation = f"Compass {followed + 1} is the one that is off: the vehicle's own heading agrees with compass "
+        return _with(measure, (_compass(followed),), f"{explanation}{other + 1}.")
+    explanation = "Nothing that was looked at tells which of both is off"
+    if found.own:
+        explanation += f"; the vehicle's own heading follows compass {followed + 1}, and is no witness for it"
+    remedy = f"{_GIVE} Else look at both mounts."
+    return _with(measure, (_compass(i), _compass(k)), f"{explanation}.", remedy)
+
+
+def _own(i: int, measure: Measure, found: Headings, followed: int, *, together: bool) -> Measure:
+    if found.declination is not None and _off(found.declination) and together:
+        return _with(measure, ("declination",), _DECLINED, found.declination.remedy)
+    if not together:
+        pairs = [_pair(*key, m, found, followed) for key, m in found.pairs.items() if i in key and _off(m)]
+        worst = max(pairs, key=lambda m: m.value, default=None)
+        return measure if worst is None else _with(measure, worst.suspects, worst.witness, worst.remedy)
+    if i in found.given:
+        who = _compass(i) if _off(found.given[i]) else _VEHICLE
+        return _with(measure, (who,), "The heading that was given tells.")
+    if len(found.own) == 1:
+        explanation = "Nothing that was looked at tells whether the compass or the vehicle's own heading is off."
+        return _with(measure, (_compass(i), _VEHICLE), explanation, _OWN)
+    explanation = f"All {len(found.own)} compasses agree with each other, so none of them is off by itself."
+    return _with(measure, (_VEHICLE, "how the autopilot is mounted"), explanation, _OWN)
+
+
+def _by_stated_heading(i: int, measure: Measure, found: Headings, *, together: bool) -> Measure:
+    if len(found.given) > 1 and together and all(map(_off, found.given.values())):
+        explanation = f"All {len(found.given)} compasses agree with each other."
+        return _with(measure, ("what all compasses share", "the heading given"), explanation, _SHARED)
+    return _with(measure, (_compass(i),))
+
+
+_OWN = "Wait until the vehicle's estimate has settled, and check again; the true heading tells which is off."
+_SHARED = "Look at the orientation that is set for the autopilot, and whether the heading given is a true one."
+
+
+def _outlier_of_pair(i: int, k: int, found: Headings) -> int | None:
+    """The one of two compasses that disagrees with all others, which agree with each other."""
+    compasses = {n for pair in found.pairs for n in pair}
+    if len(compasses) < 3:
+        return None
+    for n in (i, k):
+        with_it = [m for pair, m in found.pairs.items() if n in pair]
+        without = [m for pair, m in found.pairs.items() if n not in pair]
+        if all(map(_off, with_it)) and not any(map(_off, without)):
+            return n
+    return None
+
+
+def _compass(i: int) -> str:
+    return f"compass {i + 1}"
+
+
+def _with(measure: Measure, suspects: tuple[str, ...], witness: str = "", remedy: str = "") -> Measure:
+    return dataclasses.replace(measure, suspects=suspects, witness=witness, remedy=remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +162,7 @@ class Upright:
     down: Array
     """Unit vector in the body frame, by the accelerometers."""
     north: Array | None
-    """Where the vehicle itself has true north, a unit vector in the body frame; None: it did not say."""
+    """True north by the vehicle itself, a unit vector in the body frame; None: it did not say."""
     heading: float | None
     """True heading that the operator knows, rad."""
 
@@ -260,3 +385,50 @@ def _turn(down: Array, start: Array, end: Array) -> float:
 def _rotated(vector: Array, axis: Array, angle: float) -> Array:
     """`vector`, which lies across `axis`, turned by `angle` about it."""
     return np.asarray(math.cos(angle) * vector + math.sin(angle) * np.cross(axis, vector))
+
+
+def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
+    """Motor compensation in force at full power, as a share of the field of `strength` (uT)."""
+    of = CheckId.MOTOR_COMPENSATION
+    autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
+    name = _TYPES.get(autopilot, "")
+    kind = int(parameters.get(name, 0))
+    read = (f"{name} = {kind}" if name in parameters else f"the vehicle has no {name or 'such parameter'}",)
+    if name not in parameters and not snapshot.complete:
+        return unknown(of, f"{name} could not be read in time.", "Check again on a faster link.")
+    if kind == 0:
+        return Check(of, Verdict.PASS, None, None, None, "", "No motor compensation is in force.", evidence=read)
+    if autopilot == "ardupilot" and kind == _PER_MOTOR:
+        return unknown(of, "Compensation by single motors is not judged.", evidence=read)
+    by_current = kind in _BY_CURRENT[autopilot]
+    if by_current and snapshot.current_known is False:
+        reason = "The compensation goes by battery current, and the vehicle measures none."
+        return Check(
+            of, Verdict.FAIL, None, None, None, "", reason, "Set up the current sensor, or switch it off.", read
+        )
+    limit = limits.MOTOR_SHARE
+    measures = []
+    for instance in snapshot.recording.instances(Sensor.MAG):
+        taken = _compensation_length(autopilot, parameters, instance, by_current=by_current)
+        if taken:
+            name = f"compensation of compass {instance + 1} at full power, of the field"
+            measures.append(Measure(name, taken / strength, 0.0, limit.value, limit.unit))
+    if not measures:
+        reason = "Motor compensation is switched on, and its vectors are all zero."
+        return Check(of, Verdict.WARN, 0.0, 0.0, limit.value, "", reason, _REMEDY, read)
+    full = f"{limits.FULL_CURRENT_A:.0f} A" if by_current else "full throttle"
+    good = f"The compensation is small beside the field at {full}."
+    return judged(of, measures, good=good, remedy=_REMEDY, notes=read)
+
+
+def _compensation_length(autopilot: str, parameters: Mapping[str, Value], instance: int, *, by_current: bool) -> float:
+    """Length of the compensation at full power, uT."""
+    try:
+        names = calibration_names(autopilot, parameters, Sensor.MAG, instance)
+    except FirmwareError:
+        return 0.0
+    vector = np.array([float(parameters.get(names.get(role, Role.ID), 0.0)) for role in MOTOR])
+    full = 1.0
+    if by_current:
+        full = limits.FULL_CURRENT_A * (_PX4_PER_KA if autopilot == "px4" else 1.0)
+    return float(np.linalg.norm(vector)) * _UT[autopilot] * full

@@ -32,7 +32,7 @@ _WHO = frozenset({Role.ID, Role.PRIORITY})
 
 @dataclass(frozen=True)
 class ExpectedValue:
-    """What one parameter should hold, and where that comes from."""
+    """Value that one parameter should hold, and its source."""
 
     name: str
     value: Value
@@ -40,7 +40,7 @@ class ExpectedValue:
     """The sensor as it streams now; None: it belongs to no sensor alone."""
     role: Role | None
     then: str
-    """What the parameter was called when it was verified: another row where the sensor moved."""
+    """Name of the parameter when it was verified: another row where the sensor moved."""
     entry: VerifiedCalibration
 
 
@@ -118,7 +118,7 @@ def expected(
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a verified sensor is now: names by role then and now."""
+    """Place of a verified sensor: names by role then and now."""
 
     about: Subject
     then: Mapping[Role, str]
@@ -142,7 +142,7 @@ class _ArduPilotPlaces:
         return any(s == sensor for s, _ in self._now) and bool(_ids_of(sensor, entry))
 
     def place(self, sensor: Sensor, then: int, device: int, entry: VerifiedCalibration) -> _Place | None:
-        """Where that sensor is now; None: it is not there. A `device` of 0: where it was."""
+        """Present place of that sensor; None: it is not there. A `device` of 0: where it was."""
         now = then if device == 0 else self._now.get((sensor, device))
         if now is None:
             return None

@@ -173,7 +173,7 @@ def _counted(of: CheckId, texts: Sequence[str], what: str, good: str, remedy: st
 
 
 def _compared(snapshot: Snapshot) -> tuple[str, ...]:
-    """What was compared with, as lines of evidence."""
+    """Reference of the comparison, as lines of evidence."""
     last = last_of_each(snapshot.history)
     return tuple(
         f"{sensor}: compared with job {entry.job} of {datetime.fromtimestamp(entry.at, UTC):%Y-%m-%d %H:%M} UTC"

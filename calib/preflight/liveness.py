@@ -59,7 +59,7 @@ class Census:
     constant: frozenset[Key]
     """Those that are alive as far as can be told, and read one value all the time."""
     installed: Mapping[Sensor, int]
-    """How many there are: announced, or heard without being announced."""
+    """Number of sensors: announced, or heard without being announced."""
     left_over: Mapping[Key, str] = field(default_factory=dict)
     """PX4: rows of sensors that never sent anything here: these are dead, or gone for long."""
     beyond: tuple[str, ...] = ()
@@ -167,7 +167,7 @@ def _was_installed(snapshot: Snapshot, one: Announced) -> bool:
 
 
 def _absent(recording: Recording, key: Key, rows: int, count: int) -> str:
-    """Why an announced sensor has no samples although others have."""
+    """Reason why an announced sensor has no samples although others have."""
     if rows < LEAST:
         return "is announced and was not heard: its message does not come, those of others do"
     if count:
@@ -183,7 +183,7 @@ def _span(recording: Recording) -> float:
 
 
 def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMovement) -> str:
-    """Why a sensor that repeats itself cannot be alive; empty: a living one may read that."""
+    """Reason to call a sensor that repeats itself dead; empty: a living one may read that."""
     kind, _ = key
     if channel.quantum == 0.0 and kind != Sensor.MAG:
         return f"{len(channel)} readings without rounding are all the same, and a living one has noise"

@@ -60,7 +60,7 @@ class ObservedMovement:
 
 
 def movement(recording: Recording) -> ObservedMovement:
-    """What the sensors show of a turn."""
+    """Turn that the sensors show."""
     turned = {}
     for kind in (Sensor.ACCEL, Sensor.MAG):
         for instance in recording.instances(kind):

@@ -32,7 +32,7 @@ class Mean:
     """Largest change of a mean over half a second from the whole one."""
     samples: int = 0
     seconds: float = 0.0
-    """How much was looked at, by the vehicle's clock."""
+    """Length of the capture by the vehicle's clock."""
 
     @property
     def norm(self) -> float:
@@ -56,7 +56,7 @@ class Silent:
 
 
 def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | Silent:
-    """What one sensor read over the capture."""
+    """Mean of one sensor over the capture."""
     found = [c for c in recording.find(sensor, instance) if len(c)]
     if not found:
         return Silent(f"{sensor} {instance + 1} was not heard")
@@ -72,12 +72,12 @@ def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | 
 
 
 def evidence_lines(means: Mapping[int, Mean], what: str) -> tuple[str, ...]:
-    """What was looked at of each sensor, as lines of evidence."""
+    """Samples of each sensor, as lines of evidence."""
     return tuple(f"{what} {i + 1}: {m.samples} samples over {m.seconds:.1f} s" for i, m in sorted(means.items()))
 
 
 def moved(gyros: Mapping[int, Mean], accels: Mapping[int, Mean]) -> str | None:
-    """Why this was no rest; None: it was. What only one of several units shows is its fault, not a movement."""
+    """Movement that made this no rest; None: it was one. What one of several units shows alone is its fault."""
     rate = min((math.degrees(m.change) for m in gyros.values()), default=0.0)
     force = min((m.change for m in accels.values()), default=0.0)
     if rate > MOVING_RATE_DEG_S:

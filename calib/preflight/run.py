@@ -15,11 +15,11 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, self_report
-from mavcal.calib.preflight.attitude import attitude
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict, unknown
+from mavcal.calib.preflight.compass import motor_compensation
+from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
 from mavcal.calib.preflight.liveness import Census, census, sensors_heard
-from mavcal.calib.preflight.motors import motor_compensation
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
 from mavcal.calib.preflight.snapshot import Snapshot
@@ -183,7 +183,7 @@ class _Kind:
 
 
 def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
-    """What every living instance read, and sentences on the others."""
+    """Means of every living instance, and sentences on the others."""
     means: dict[int, Mean] = {}
     silent = [why for texts in (there.dead, there.thin) for (kind, _), why in sorted(texts.items()) if kind == sensor]
     for instance in sorted(there.of(sensor)):

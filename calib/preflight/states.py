@@ -74,7 +74,7 @@ def sensor_states(finished: Sequence[FinishedCalibration], snapshot: Snapshot) -
 
 
 def summary(states: Sequence[SensorState]) -> tuple[Verdict, str]:
-    """What the vehicle needs now, in one sentence."""
+    """One sentence that says what the vehicle needs now."""
     for verdict in (Verdict.FAIL, Verdict.WARN):
         bad = [state for state in states if state.verdict == verdict]
         if bad:

@@ -16,14 +16,11 @@ from mavcal.calib.option import Option
 from mavcal.calib.posture import tilted
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction
 from mavcal.calib.procedures.pose_fit import Assessment, assess
-from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, recognise, remaining, tilts
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep, Tilt
-from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, down_direction, recognise, remaining, tilts
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep, Tilt
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -86,7 +83,7 @@ class AccelProcedure(TickedProcedure):
         self._tilts: tuple[Tilt, ...] = ()
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        self._body = self.bodies(Sensor.ACCEL)
         self._ask(None, stable=False)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
@@ -183,8 +180,7 @@ class AccelProcedure(TickedProcedure):
         self._dropped_rows()
         if any(pose.means[i].temperature is None for pose in self._poses for i in pose.means):
             self._warn("no temperature streamed: the offsets cannot be tied to the temperature they were taken at")
-        results = tuple(annotated(f, self.context, self.warnings) for f in assessment.fits)
-        self._finish(Done(results, assessment.short))
+        self._succeed(assessment.fits, assessment.short)
 
     def _left(self) -> tuple[Pose, ...]:
         key = (self._wanted, tuple(p.number for p in self._poses))

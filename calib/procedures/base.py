@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.plan import LeftOut
+from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.intake import Intake, Tick
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
+from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import (
     ROSTER,
     ROSTER_EXPECTED,
@@ -25,7 +27,7 @@ from mavcal.calib.procedures.roster import (
     label,
 )
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
-from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.recording import Array, Recording, Sensor
 
 PROGRESS_EVERY = 1.0
 """Progress is told once a second of the vehicle's clock."""
@@ -165,6 +167,11 @@ class TickedProcedure(ABC):
         missed = [i for i in sorted(self._left_out) if i[0] in self.spec.sensors and i not in fitted]
         return tuple(LeftOut(*instance, self._left_out[instance]) for instance in missed)
 
+    def _succeed(self, fits: Iterable[FitResult], because: str) -> None:
+        """End with these fits, each with the warnings of the capture."""
+        self._dropped_rows()
+        self._finish(Done(tuple(annotated(fit, self.context, self.warnings) for fit in fits), because))
+
     def _give_up(self, cause: str, remedy: str) -> None:
         self._finish(GaveUp(cause, remedy))
 
@@ -173,6 +180,10 @@ class TickedProcedure(ABC):
     def present(self, sensor: Sensor) -> tuple[int, ...]:
         """Instances of `sensor` that take part now."""
         return tuple(sorted(i for s, i in self._attendance.present if s == sensor))
+
+    def bodies(self, sensor: Sensor) -> dict[int, Array]:
+        """Rotation (3, 3) from the raw frame to the body of each instance that takes part now."""
+        return {i: self.context.body_from_sensor(sensor, i) for i in self.present(sensor)}
 
     def _work(self, *, to_the_end: bool) -> None:
         for tick in self._intake.ticks(to_the_end=to_the_end):

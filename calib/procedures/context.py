@@ -6,9 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from mavcal.calib import STANDARD_GRAVITY
+import numpy as np
+
+from mavcal.calib import STANDARD_GRAVITY, firmware
 from mavcal.calib.earth import EarthField
-from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.recording import Array, Identity, Sensor
+from mavcal.calib.triad import TriadModel
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,31 @@ class ProcedureContext:
     def relative(self) -> bool:
         """Whether the calibration in force is unknown, so that absolute values cannot be stated."""
         return not self.parameters
+
+    def in_force(self, sensor: Sensor, instance: int) -> TriadModel | None:
+        """Correction in force, from raw sensor frame to corrected body frame; None: its parameters are missing.
+
+        Without parameters, or of an unknown autopilot, raw and corrected are taken as the same.
+        """
+        if not self._mounting_is_stated:
+            return TriadModel()
+        try:
+            return firmware.calibration_in_force(self.identity.autopilot, self.parameters, sensor, instance)
+        except FirmwareError:
+            return None
+
+    def body_from_sensor(self, sensor: Sensor, instance: int) -> Array:
+        """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where parameters are missing."""
+        if not self._mounting_is_stated:
+            return np.eye(3)
+        try:
+            return firmware.body_from_sensor(self.identity.autopilot, self.parameters, sensor, instance)
+        except FirmwareError:
+            return np.eye(3)
+
+    @property
+    def _mounting_is_stated(self) -> bool:
+        return not self.relative and self.identity.autopilot in firmware.TITLES
 
 
 @dataclass(frozen=True)

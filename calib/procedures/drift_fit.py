@@ -26,7 +26,7 @@ SHORTEST = 10.0
 
 _CUBIC = PolynomialOptions(degree=THERMAL_DEGREE)
 MOVED = "the vehicle was moved: {} still spans, each with its own pose"
-"""What is said of several poses."""
+"""Warning about several poses."""
 
 
 class DriftPool:

@@ -13,12 +13,11 @@ from mavcal.calib.mag.fixed_yaw import KnownAttitude, fit_fixed_yaw
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.level import GRAVITY_WITHIN, roll_pitch
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -91,13 +90,12 @@ class MagFixedYawProcedure(TickedProcedure):
             return
         self._dropped_rows()
         good = max(float(f.quality["heading_here_sd_deg"]) for f in known)
-        results = tuple(annotated(f, self.context, self.warnings) for f in known)
-        self._finish(Done(results, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept"))
+        self._succeed(known, f"the heading is known to {good:.1f} deg as it stands; soft iron is kept")
 
     def _standing(self) -> KnownAttitude | None:
         """Attitude of the vehicle; None: the job has ended, since its accelerometer cannot determine it."""
         accel = self._pool.channel((Sensor.ACCEL, self._accel))
-        model = in_force(self.context, Sensor.ACCEL, self._accel)
+        model = self.context.in_force(Sensor.ACCEL, self._accel)
         if model is None:
             self._give_up(
                 "the calibration of the accelerometer could not be read", "read the parameters, then start again"
@@ -116,7 +114,7 @@ class MagFixedYawProcedure(TickedProcedure):
         return KnownAttitude(roll, pitch, heading, sd)
 
     def _fit(self, instance: int, standing: KnownAttitude) -> FitResult | None:
-        model = in_force(self.context, Sensor.MAG, instance)
+        model = self.context.in_force(Sensor.MAG, instance)
         if model is None:
             self._leave_out((Sensor.MAG, instance), "its present calibration could not be read")
             return None
@@ -130,7 +128,7 @@ class MagFixedYawProcedure(TickedProcedure):
             instance=instance,
             quantum=channel.quantum,
             field=self.context.earth_field,
-            body_from_sensor=body_from_sensor(self.context, Sensor.MAG, instance),
+            body_from_sensor=self.context.body_from_sensor(Sensor.MAG, instance),
             relative=self.context.relative,
         )
 

@@ -19,8 +19,8 @@ from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_temperature, share_of_information
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -155,8 +155,7 @@ class GyroProcedure(TickedProcedure):
                 "no compass streamed: a slow steady turn about the vertical would look like an offset; "
                 "be sure that the vehicle stood still"
             )
-        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
-        self._finish(Done(results, because))
+        self._succeed(fits, because)
 
     def _update_prompt(self, verdict: StillnessVerdict) -> None:
         reached = self._offset_sd

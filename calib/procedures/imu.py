@@ -23,12 +23,11 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.accel import EXTRA, AccelProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import RESTING, StillWatch
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import Assessment
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -75,7 +74,7 @@ class ImuProcedure(AccelProcedure):
         self._quiet = StillWatch(RESTING, present)
         super()._on_start(present)
         self._show(_REST)
-        self._gyro_body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
+        self._gyro_body = self.bodies(Sensor.GYRO)
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         self._pool.add(frame)
@@ -170,7 +169,7 @@ class ImuProcedure(AccelProcedure):
         self._dropped_rows()
         for instance in set(self.present(Sensor.ACCEL)) - set(self.present(Sensor.GYRO)):
             self._leave_out((Sensor.ACCEL, instance), "the vehicle sends no samples of its gyro")
-        self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
+        self._succeed(fits, because)
 
 
 _REST = Prompt(

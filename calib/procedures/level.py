@@ -13,12 +13,10 @@ from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -64,7 +62,7 @@ class LevelProcedure(TickedProcedure):
         self._restless = self._judge_at = 0.0
 
     def _on_start(self, present: set[Instance]) -> None:
-        models = {i: in_force(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        models = {i: self.context.in_force(Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
             self._leave_out((Sensor.ACCEL, instance), "its present calibration could not be read")
@@ -107,8 +105,7 @@ class LevelProcedure(TickedProcedure):
         self._dropped_rows()
         first = fits[0].quality
         text = f"roll {first['roll_deg']:.2f}, pitch {first['pitch_deg']:.2f} deg"
-        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
-        self._finish(Done(results, f"{text}, known to {math.degrees(reached):.3f} deg"))
+        self._succeed(fits, f"{text}, known to {math.degrees(reached):.3f} deg")
 
     def _correctable(self, instance: int, mean: PoseMean) -> bool:
         if self._models[instance].polynomial is None or mean.temperature is not None:

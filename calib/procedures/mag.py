@@ -15,16 +15,15 @@ import numpy as np
 from mavcal.calib.firmware.limits import COMPASS_OFFSET_MAX_UT
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
-from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, share_of_information
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -92,7 +91,7 @@ class MagProcedure(TickedProcedure):
 
     def _on_start(self, present: set[Instance]) -> None:
         self._inertial = self.present(Sensor.ACCEL)[0], self.present(Sensor.GYRO)[0]
-        accel = in_force(self.context, Sensor.ACCEL, self._inertial[0])
+        accel = self.context.in_force(Sensor.ACCEL, self._inertial[0])
         self._accel = accel or TriadModel()
         self._rotation = self._accel.rotation
         if self.context.earth_field is None:
@@ -138,8 +137,8 @@ class MagProcedure(TickedProcedure):
                 self._tracks[instance] = MagTrack(
                     instance,
                     self.context.earth_field,
-                    in_force(self.context, Sensor.MAG, instance),
-                    body_from_sensor(self.context, Sensor.MAG, instance),
+                    self.context.in_force(Sensor.MAG, instance),
+                    self.context.body_from_sensor(Sensor.MAG, instance),
                     quantum=channel.quantum,
                     relative=self.context.relative,
                 )
@@ -205,7 +204,7 @@ class MagProcedure(TickedProcedure):
             track.refit()
 
     def _mountings(self) -> dict[int, OrientationResult | None]:
-        """Which mounting explains each compass.
+        """Mounting that explains each compass.
 
         Where the place is not known, a mirrored compass looks like one that is turned in a field that points to the
         other side. All compasses are in one field: those that are as stated say to which.
@@ -245,15 +244,12 @@ class MagProcedure(TickedProcedure):
 
     def _end(self, mountings: dict[int, OrientationResult | None], because: str) -> None:
         self._dropped_rows()
-        results: list[FitResult] = []
-        for instance, track in self._tracks.items():
-            if track.fit is not None:
-                results.append(annotated(track.result(mountings[instance]), self.context, self.warnings))
-        if all(r.status == FitStatus.REFUSED for r in results):
-            reason = results[0].message if results else "no compass gave enough samples"
+        fits = [t.result(mountings[i]) for i, t in self._tracks.items() if t.fit is not None]
+        if all(fit.status == FitStatus.REFUSED for fit in fits):
+            reason = fits[0].message if fits else "no compass gave enough samples"
             self._give_up(f"no compass can be calibrated: {reason}", "repeat away from steel, magnets and currents")
             return
-        self._finish(Done(tuple(results), because))
+        self._succeed(fits, because)
 
     def _on_answer(self, value: str) -> None:
         """``finish``: the operator takes what is there."""
@@ -309,7 +305,7 @@ class MagProcedure(TickedProcedure):
 
     @staticmethod
     def _heading_sd(track: MagTrack) -> float:
-        """How well the heading of a compass is known, or will be once it is fitted, deg."""
+        """Uncertainty of the heading of a compass, now or once it is fitted, deg."""
         return min(track.heading_sd, track.predicted) if track.fit is None else track.heading_sd
 
     def _update_prompt(self) -> None:

@@ -98,7 +98,7 @@ class _Reference:
 
 
 class Disturbance(StrEnum):
-    """What kind of movement it is, for a prompt that shall not change with every number."""
+    """Kind of movement, for a prompt that does not change with every number."""
 
     NONE = ""
     SILENT = "no samples come in"

@@ -19,12 +19,11 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, share_of_information
+from mavcal.calib.procedures.poses import down_direction, facing
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -68,8 +67,8 @@ class AccelOneAxisProcedure(TickedProcedure):
 
     def _on_start(self, present: set[Instance]) -> None:
         instances = self.present(Sensor.ACCEL)
-        self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in instances}
-        models = {i: in_force(self.context, Sensor.ACCEL, i) for i in instances}
+        self._body = self.bodies(Sensor.ACCEL)
+        models = {i: self.context.in_force(Sensor.ACCEL, i) for i in instances}
         self._models = {i: m for i, m in models.items() if m is not None}
         for instance in models.keys() - self._models.keys():
             self._leave_out((Sensor.ACCEL, instance), "its present scale could not be read")
@@ -121,12 +120,11 @@ class AccelOneAxisProcedure(TickedProcedure):
         results = [self._fit(i, channel, tilt) for i, channel in given.items()]
         self._dropped_rows()
         self._warn("an error of the scale on the vertical axis is read as offset: the job accel tells them apart")
-        done = tuple(annotated(f, self.context, self.warnings) for f in results)
         text = f"means known to {self._known:.4f} m/s2"
         if tilt:
             level = self.context.gravity * math.radians(tilt)
             text += f"; a tilt of {tilt:g} deg makes that {level:.3f} m/s2 on the level axes"
-        self._finish(Done(done, text))
+        self._succeed(results, text)
 
     def _fit(self, instance: int, channel: Channel, tilt: float) -> FitResult:
         """The offset that belongs to the scale in force: ``mean - S^-1 g``."""

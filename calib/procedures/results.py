@@ -31,7 +31,7 @@ def annotated(fit: FitResult, context: ProcedureContext, warnings: Iterable[str]
 
 
 def share_of_information(target: float, reached: float) -> float:
-    """How much of the information that a standard deviation of `target` takes is there at `reached`, percent.
+    """Share of the information for a standard deviation of `target` that `reached` amounts to, percent.
 
     Information is ``1/sd^2`` and grows with the samples, so a bar of it moves evenly and never without a gain.
     """
@@ -39,6 +39,6 @@ def share_of_information(target: float, reached: float) -> float:
 
 
 def refusals(fits: Iterable[FitResult]) -> str:
-    """Why fits were refused, sensor by sensor."""
+    """Reasons why fits were refused, sensor by sensor."""
     refusals = [f"{label(f.sensor, f.instance)}: {f.message}" for f in fits if f.status == FitStatus.REFUSED]
     return "; ".join(refusals) or "no sensor is left"

@@ -23,15 +23,13 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
-from mavcal.calib.procedures.placing import Facing, down_direction, facing, place
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
-from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, refusals
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, Facing, down_direction, facing, place
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.turning import Spin, SpinWatch
@@ -137,9 +135,9 @@ class MagRingsProcedure(TickedProcedure):
         self._last_taken = -math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
-        self._body = {i: body_from_sensor(self.context, Sensor.MAG, i) for i in self.present(Sensor.MAG)}
-        self._spins = SpinWatch({i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)})
+        self._level = self.bodies(Sensor.ACCEL)
+        self._body = self.bodies(Sensor.MAG)
+        self._spins = SpinWatch(self.bodies(Sensor.GYRO))
         if self.context.earth_field is None:
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
         self._show(self._place_prompt())
@@ -264,8 +262,8 @@ class MagRingsProcedure(TickedProcedure):
             if ratio is not None and abs(ratio - 1.0) > FIELD_TOLERANCE:
                 about = label(Sensor.MAG, fit.instance)
                 self._warn(f"{about} reads {ratio:.2f} times the modelled field: a magnet or steel is near")
-        results = tuple(annotated(in_sensor(f, self._body[f.instance]), self.context, self.warnings) for f in fits)
-        self._finish(Done(results, f"the heading of every compass is known to {reached:.2f} deg or better"))
+        in_raw = [in_sensor(f, self._body[f.instance]) for f in fits]
+        self._succeed(in_raw, f"the heading of every compass is known to {reached:.2f} deg or better")
 
     # -- telling ---------------------------------------------------------------------------------------------------
 

@@ -19,14 +19,12 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing, place
 from mavcal.calib.procedures.pose_fit import CHANCE
-from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, down_direction, facing, place
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -73,7 +71,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         self._last_taken = -math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        self._body = self.bodies(Sensor.ACCEL)
         self._show(place(FACES, ""))
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
@@ -171,8 +169,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         self._dropped_rows()
         if any(f.temperature is None for f in fits if f.status != FitStatus.REFUSED):
             self._warn("no temperature streamed: the offsets cannot be tied to the temperature they were taken at")
-        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
-        self._finish(Done(results, f"every offset is known to {reached:.4f} m/s2 or better"))
+        self._succeed(fits, f"every offset is known to {reached:.4f} m/s2 or better")
 
     def _update_prompt(self, verdict: StillnessVerdict) -> None:
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:

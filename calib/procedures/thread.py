@@ -22,14 +22,12 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.intake import TICK
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
-from mavcal.calib.procedures.placing import down_direction, facing
 from mavcal.calib.procedures.pool import Pool
-from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.poses import DOWN, TEXTS, down_direction, facing
+from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
@@ -104,8 +102,8 @@ class GyroThreadProcedure(TickedProcedure):
         self._last_taken = -math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
-        self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
+        self._level = self.bodies(Sensor.ACCEL)
+        self._body = self.bodies(Sensor.GYRO)
         self._spins = SpinWatch(self._body)
         if spoilt := turning_spoils(self.context.parameters):
             self._warn(spoilt)
@@ -236,9 +234,9 @@ class GyroThreadProcedure(TickedProcedure):
 
     def _end(self, fits: list[FitResult], reached: float) -> None:
         self._dropped_rows()
-        results = tuple(annotated(in_sensor(f, self._body[f.instance]), self.context, self.warnings) for f in fits)
         by = "a compass" if self._counted is None else "the operator"
-        self._finish(Done(results, f"the scale is known to {100.0 * reached:.3f} %; the turns were counted by {by}"))
+        in_raw = [in_sensor(f, self._body[f.instance]) for f in fits]
+        self._succeed(in_raw, f"the scale is known to {100.0 * reached:.3f} %; the turns were counted by {by}")
 
     # -- telling ---------------------------------------------------------------------------------------------------
 

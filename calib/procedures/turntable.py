@@ -18,13 +18,11 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import StillnessVerdict
-from mavcal.calib.procedures.placing import Facing, down_direction, facing
 from mavcal.calib.procedures.pool import Pool, Tail, joined
-from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import annotated, mean_or_none, mean_temperature, refusals
+from mavcal.calib.procedures.poses import DOWN, TEXTS, Facing, down_direction, facing
+from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
+from mavcal.calib.procedures.results import mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
@@ -140,8 +138,8 @@ class GyroTurntableProcedure(TickedProcedure):
         self._last_taken = -math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
-        self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
+        self._level = self.bodies(Sensor.ACCEL)
+        self._body = self.bodies(Sensor.GYRO)
         self._spins = SpinWatch(self._body)
         if spoilt := turning_spoils(self.context.parameters):
             self._warn(spoilt)
@@ -241,7 +239,7 @@ class GyroTurntableProcedure(TickedProcedure):
         return stretch.seconds >= LONGEST or (stretch.seconds >= least and known)
 
     def _ask(self, at: Facing, spin: Spin, turned: Turned | None) -> None:
-        """What to do next: the other way, or with another axis vertical."""
+        """Show the next turn: the other way, or with another axis vertical."""
         axis = int(np.abs(DOWN[at.face]).argmax())
         here = [t for t in self._left if t.axis == axis] if at.square else []
         if here:
@@ -318,8 +316,8 @@ class GyroTurntableProcedure(TickedProcedure):
     def _end(self, fits: list[FitResult], reached: float) -> None:
         self._dropped_rows()
         self._warn("a tilt of the vehicle on the turntable enters the cross axes at full size")
-        results = tuple(annotated(in_sensor(f, self._body[f.instance]), self.context, self.warnings) for f in fits)
-        self._finish(Done(results, f"the scale of every axis turned is known to {100.0 * reached:.3f} % or better"))
+        in_raw = [in_sensor(f, self._body[f.instance]) for f in fits]
+        self._succeed(in_raw, f"the scale of every axis turned is known to {100.0 * reached:.3f} % or better")
 
     # -- telling ---------------------------------------------------------------------------------------------------
 

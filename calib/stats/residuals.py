@@ -36,7 +36,7 @@ def first_correlation(series: Array) -> float:
 
 
 def residual_statistics(residuals: Array, dof: int, noise_sd: float | None) -> ResidualStatistics:
-    """How large the residuals of a fit are, and whether they are white.
+    """Size of the residuals of a fit, and a test whether they are white.
 
     Parameters
     ----------

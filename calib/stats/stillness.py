@@ -322,7 +322,7 @@ class _OpenSpan:
             self.gyro = _running(self.gyro, gyro.mean, self.count)
 
     def leaves(self, limits: StillnessLimits, accel: Windows | None, gyro: Windows | None) -> str:
-        """Why the next window does not belong to this span; empty if it does."""
+        """Reason for which the next window does not belong to this span; empty if it does."""
         if accel is not None and self.accel is not None:
             off = float(np.linalg.norm(accel.mean - self.accel))
             noise = 4.0 * float(accel.scatter / np.sqrt(accel.n))
@@ -345,7 +345,7 @@ def _running(mean: Array | None, value: Array, count: int) -> Array:
 
 
 def _reasons(limits: StillnessLimits, accel: Windows | None, gyro: Windows | None, count: int) -> list[str]:
-    """Why each window by itself is not still; empty where it is."""
+    """Reason for each window that is not still by itself; empty where it is."""
     reasons = np.full(count, "", dtype=object)
     if gyro is not None:
         reasons[gyro.scatter > limits.gyro_scatter] = "the gyroscope shakes"

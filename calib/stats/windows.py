@@ -62,7 +62,7 @@ def row_of(windows: Windows | None, k: int) -> Windows | None:
 
 
 def without_spikes(values: Array) -> NDArray[np.bool_]:
-    """Which rows of `values` (N, k) are no lone spike: far off both neighbours, which agree.
+    """Mask (N,) of `values` (N, k): False at a lone spike, far off both neighbours, which agree.
 
     Far means four times what the samples around change by and thirty times the usual change; a movement lasts longer
     than one sample. Two rounds, so that spikes do not hide each other.
@@ -88,7 +88,7 @@ def _isolated(values: Array) -> NDArray[np.bool_]:
 
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:
-    """Which rows hold only finite numbers."""
+    """Mask of the rows that hold finite numbers only."""
     finite = np.isfinite(values)
     if finite.all():  # as they almost always are: a reduction of rows takes ten times as long
         return np.ones(len(values), dtype=np.bool_)

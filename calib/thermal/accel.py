@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.accel.poses import residual_in
+from mavcal.calib.accel.poses import check_assumed, residual_in
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
@@ -98,7 +98,9 @@ def fit_accel_thermal(
         face to show and the temperature to show it at. ``quality["confounding"]`` is how many times worse the drift is
         known than if every face had been held at every temperature: more than 4 asks for a round in opposite order.
     """
-    _check(degree, gravity, cross_sd)
+    if not 1 <= degree <= 3:
+        raise InvalidInputError(f"the degree of the drift is 1 to 3, not {degree}")
+    check_assumed(gravity, cross_sd)
 
     again = "hold every face still for some seconds while it is cold, and again, in opposite order, when it is warm"
     accel = accel.take(finite_rows(accel.values))
@@ -367,15 +369,6 @@ def _temperature_at(accel: Channel, temperature: Channel) -> Array | None:
     if not good.any():
         return None
     return np.asarray(np.interp(accel.t, temperature.t[good], values[good]), dtype=np.float64)
-
-
-def _check(degree: int, gravity: float, cross_sd: float | None) -> None:
-    if not 1 <= degree <= 3:
-        raise InvalidInputError(f"the degree of the drift is 1 to 3, not {degree}")
-    if not (np.isfinite(gravity) and gravity > 0.0):
-        raise InvalidInputError(f"gravity must be positive, not {gravity}")
-    if cross_sd is not None and not (np.isfinite(cross_sd) and cross_sd >= 0.0):
-        raise InvalidInputError(f"the prior sd of the cross terms must be zero or more, not {cross_sd}")
 
 
 def _warm_poses(

@@ -284,7 +284,7 @@ def scale_drift(problem: WarmProblem, solution: WarmSolution) -> tuple[Array, Ar
 
 
 def movement(solution: WarmSolution) -> str:
-    """Which faces are missing, said as an instruction."""
+    """Instruction that names the missing faces."""
     faces = (("nose up", "nose down"), ("on its left side", "on its right side"), ("on its back", "level"))
     missing = [
         faces[axis][side]

@@ -109,7 +109,7 @@ def _pooled(found: Sequence[_Pose]) -> tuple[Array, Array]:
 
 
 def _repeats(found: Sequence[_Pose]) -> NDArray[np.bool_]:
-    """Which axes (3,) have the same slope in every pose, and more than chance."""
+    """Mask (3,) of the axes whose slope is the same in every pose, and more than chance."""
     if len(found) < 2:
         return np.zeros(3, dtype=np.bool_)
     mean, sd = _pooled(found)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
-    """What was fitted, on which axes, over which range."""
+    """Sentence that names the fitted drift, its axes and its range of temperature."""
     axes = ", ".join(AXES[i] for i in range(3) if estimated[i]) or "no axis"
     return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.samples} rows"
 
@@ -42,7 +42,7 @@ def common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str,
 
 
 def declined_warnings(declined: NDArray[np.bool_], too_coarse: NDArray[np.bool_], channel: Channel) -> tuple[str, ...]:
-    """Which axes are not estimated, and why."""
+    """Warnings that name each axis that is not estimated, with the reason."""
     warnings = []
     if declined.any():
         names = ", ".join(AXES[i] for i in range(3) if declined[i])
@@ -79,7 +79,7 @@ def two_way_warnings(
 
 
 def remedy_for(name: str, data: DriftData, too_coarse: NDArray[np.bool_], declined: NDArray[np.bool_]) -> str:
-    """What would determine the parameter `name`."""
+    """The movement or change of temperature that would determine the parameter `name`."""
     axis = AXES.index(name[-1])
     if data.constant[axis] or too_coarse[axis]:
         return "stream it at a finer resolution (HIGHRES_IMU), or move the temperature over a wider range"

@@ -74,7 +74,7 @@ class Thermometer:
         return np.asarray(np.interp(time, known, values), dtype=np.float64)
 
     def _instants(self) -> tuple[Array, Array]:
-        """When the thermometer was read, as far as it is known, and what it read."""
+        """Times and temperatures of the thermometer's readings, as far as the times are known."""
         time, last, value, silence = self._rows[: self._used].T.copy()
         if self._used < 3:
             return time, value

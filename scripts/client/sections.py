@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from mavcal.calib.mag.sections import CENTRES
+from mavcal.calib.mag.coverage import CENTRES
 
-HEAD = """// Written by scripts/generate-client from calib/mag/sections.py. Do not edit.
+HEAD = """// Written by scripts/generate-client from calib/mag/coverage.py. Do not edit.
 //
 // Middles of the 80 sections of a coverage mask: unit vectors (front, right, down).
 // Section i is bit i % 8 of byte i // 8.

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavcal.calib.firmware.device_ids import decode_device_id
-from mavcal.calib.fleet.observation import BIAS_LIMITS, BiasLimit, Triple
-from mavcal.calib.fleet.record import SensorRecord
+from mavcal.calib.fleet.record import BIAS_LIMITS, BiasLimit, SensorRecord, Triple
 from mavcal.calib.fleet.standing import SensorStanding
 from mavcal.calib.fleet.trend import DAY_S, Slope
 from mavcal.calib.report import to_json

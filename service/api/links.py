@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models.links import LinkModel, LinkRequest
+from mavcal.service.api.models.vehicles import LinkModel, LinkRequest
 from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import link_model
 from mavcal.service.errors import LinkUnknown

@@ -1,18 +1,20 @@
-"""Routes of uploaded recordings."""
+"""Routes of uploaded recordings; the work of a request ends when its client has disconnected."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import asyncio
+from collections.abc import AsyncIterator, Coroutine
+from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, HTTPException, Query, Request, Response
 from pydantic import ValidationError
+from starlette.requests import ClientDisconnect
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.report import to_json
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.disconnect import Body, while_connected
 from mavcal.service.api.models.fits import FitJobRequest, FitRequest, FitsModel
 from mavcal.service.api.models.jobs import JobModel
 from mavcal.service.api.models.recordings import (
@@ -25,9 +27,68 @@ from mavcal.service.api.models.recordings import (
 from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import job_model, job_summary, recording_model
 
+T = TypeVar("T")
 router = APIRouter(tags=["recordings"])
 BYTES = {"type": "string", "format": "binary"}
 """Schema of a file as it is: generators of clients leave an operation out whose body has none."""
+
+
+class Body:
+    """The request's body in chunks; `whole` is set when all of it is there."""
+
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        self.whole = asyncio.Event()
+
+    async def chunks(self) -> AsyncIterator[bytes]:
+        """The body. Raises HTTPException 408 if the client goes away."""
+        try:
+            async for chunk in self._request.stream():
+                yield chunk
+        except ClientDisconnect:
+            raise _left() from None
+        self.whole.set()
+
+
+async def while_connected(request: Request, work: Coroutine[Any, Any, T], body: Body | None = None) -> T:
+    """The result of `work`, which is cancelled when the client goes away.
+
+    Parameters
+    ----------
+    request
+        Whose client is watched.
+    work
+        What takes long.
+    body
+        The body, if `work` reads it; None: it has been read.
+
+    Raises
+    ------
+    HTTPException
+        408, which nobody reads, if the client went away.
+    """
+    working = asyncio.ensure_future(work)
+    gone = asyncio.ensure_future(_gone(request, body))
+    try:
+        await asyncio.wait({working, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise _left()
+        return working.result()
+    finally:
+        for task in (working, gone):
+            task.cancel()
+        await asyncio.gather(working, gone, return_exceptions=True)
+
+
+async def _gone(request: Request, body: Body | None) -> None:
+    if body is not None:
+        await body.whole.wait()
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _left() -> HTTPException:
+    return HTTPException(408, "the client went away")
 
 
 @router.post(

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Response
 
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.jobs import JobDep
-from mavcal.service.api.models.reviews import ReviewModel
+from mavcal.service.api.models.plans import ReviewModel
 from mavcal.service.api.security import READ
 from mavcal.service.api.views import review_model
 from mavcal.service.errors import PlanMissing

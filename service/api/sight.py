@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Final
 
-from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.vehicles import LinkModel
 from mavcal.service.core import Service
 from mavcal.service.errors import (
     Forbidden,

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request, Response
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models.links import LinkModel, SigningKeyModel, SigningKeyRequest, SigningRequest
+from mavcal.service.api.models.vehicles import LinkModel, SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.security import ADMIN, ActorDep
 from mavcal.service.api.views import link_model
 

@@ -1,14 +1,18 @@
-"""Routes of vehicles."""
+"""Routes of vehicles, and the state of their calibrations from jobs and from what a vehicle has said so far."""
 
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from typing import Annotated
 
 from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from mavcal.calib.preflight.snapshot import Snapshot
+from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
+from mavcal.calib.recording import Recording
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models.vehicles import (
     HandRequest,
@@ -19,12 +23,28 @@ from mavcal.service.api.models.vehicles import (
 )
 from mavcal.service.api.security import OPERATE, READ, Scope, SightDep, require
 from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
-from mavcal.service.standing import states_of
+from mavcal.service.core import Service
+from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
 from mavcal.service.vehicle import Vehicle
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 router = APIRouter(tags=["vehicles"])
 
 STATE_PERIOD_S = 1.0
+
+
+async def states_of(service: Service, vehicle_id: str) -> tuple[SensorState, ...]:
+    """The four states; asks the vehicle for nothing, so only parameters that were heard before are compared."""
+    vehicle = service.vehicles.get(vehicle_id)
+    identity = JobVehicle(vehicle).identity
+    jobs = verified_jobs(service.jobs.list(), vehicle_id, identity)
+    parameters = {name: parameter.value for name, parameter in vehicle.parameters.items()}
+    history = await asyncio.to_thread(history_of, jobs, service.store)
+    snapshot = Snapshot(Recording(()), identity, parameters, time.time(), history, complete=vehicle.listed)
+    finished = [
+        FinishedCalibration(job.kind, job.id, job.updated_at, job.results, job.left_out, job.missed) for job in jobs
+    ]
+    return sensor_states(finished, snapshot)
 
 
 def _vehicle(vehicle_id: str, service: ServiceDep) -> Vehicle:

@@ -16,13 +16,11 @@ from mavcal.calib.review.effect import text_of
 from mavcal.service.api.models.campaigns import ItemModel
 from mavcal.service.api.models.gaps import GapModel, GapSummary
 from mavcal.service.api.models.jobs import JobModel, JobSummary, UnfinishedModel
-from mavcal.service.api.models.links import LinkModel
-from mavcal.service.api.models.plans import PlanModel
+from mavcal.service.api.models.plans import MountingChoiceModel, PlanModel, ReviewModel, SensorEffectModel
 from mavcal.service.api.models.preflight import PreflightModel
 from mavcal.service.api.models.recordings import RecordingModel
-from mavcal.service.api.models.reviews import MountingChoiceModel, ReviewModel, SensorEffectModel
 from mavcal.service.api.models.steps import OptionModel, ProcedureModel
-from mavcal.service.api.models.vehicles import ParameterModel, VehicleModel, VehicleSensorsModel
+from mavcal.service.api.models.vehicles import LinkModel, ParameterModel, VehicleModel, VehicleSensorsModel
 from mavcal.service.campaigns.items import Item
 from mavcal.service.fixing import Fix
 from mavcal.service.jobs.core.codec import from_json, to_json

@@ -104,7 +104,7 @@ class CampaignDesk:
         return await self._begin(CampaignTask.RESTORE, options, vehicles, at_once, self.attended)
 
     def _writing(self, order: CalibrationOrder | RestoreOrder) -> dict[str, Any]:
-        """What a campaign keeps of its plans. Raises InvalidInputError, Forbidden."""
+        """The options that a campaign keeps for its plans. Raises InvalidInputError, Forbidden."""
         if order.apply and self.read_only:
             raise Forbidden("this service runs with --read-only and never writes: begin the campaign without apply")
         given = confirmed(order.plan_options)

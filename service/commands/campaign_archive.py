@@ -53,7 +53,7 @@ async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputO
     from mavcal.service.campaigns.archive import archive
     from mavcal.service.campaigns.executors import abandon
     from mavcal.service.children import Limits
-    from mavcal.service.commands.stopping import stoppable
+    from mavcal.service.commands.door import stoppable
 
     limits = settings.limits
     of_fits = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)

@@ -116,7 +116,7 @@ async def _of_service(client: AsyncClient, job_id: str, outcomes: Sequence[str],
 
 
 def _document(item: ItemModel) -> dict[str, Any]:
-    """The item as a data directory has it, without what HTTP does not tell."""
+    """The item as a data directory has it, without the fields that HTTP leaves out."""
     result: dict[str, Any] = {}
     if item.preflight is not None:
         found = item.preflight.model_dump(mode="json")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json, writing
 
 if TYPE_CHECKING:
     from mavcal.service.commands.screen import Screen
@@ -82,8 +82,6 @@ def exit_code(options: Mapping[str, Any], outcomes: Iterable[str]) -> int:
 
 def write_table(path: Path, text: str, count: int) -> None:
     """Write the outcome of so many items as CSV."""
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise click.ClickException(f"{path} cannot be written: {error.strerror}") from error
     click.echo(f"{path}: {count} items", err=True)

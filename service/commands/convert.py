@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.output import json_option, write_json, writing
 from mavcal.service.commands.reading import readable_file, reading_options
 
 
@@ -26,10 +26,8 @@ def command(file: str, out: Path, raw: bool, as_json: bool, **reading: Any) -> N
     recording = logs.read(readable_file(file), **reading)
     if raw:
         recording = undo(recording)
-    try:
+    with writing(out):
         write_table(recording, out)
-    except OSError as error:
-        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
     if as_json:
         write_json({"out": str(out), "channels": len(recording.channels), "raw": raw})
     else:

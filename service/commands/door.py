@@ -1,15 +1,18 @@
-"""Connects live commands to a service: one that runs elsewhere, or the application in this process."""
+"""Connects live commands to a service: one that runs elsewhere, or the application in this process.
+
+Ctrl-C and SIGTERM end a command in an orderly way: its task is cancelled, and says what it leaves behind.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+import signal
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from mavcal.service.commands.remote import address, key_in, noes
-from mavcal.service.commands.stopping import stoppable
 from mavcal.service.loading import loading
 
 if TYPE_CHECKING:
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from mavcal.service.commands.asking import RaisingClient
     from mavcal.service.commands.whom import Whom
     from mavcal.service.hosting import Hosted
+
 
 T = TypeVar("T")
 
@@ -31,6 +35,29 @@ CLEANUP_S = 30.0
 HURRY_S = 5.0
 """The same for a run that was told to stop."""
 _LOOK_S = 0.1
+
+
+@contextmanager
+def stoppable() -> Iterator[list[int]]:
+    """Cancel the current task on SIGINT and SIGTERM; the list holds the signals that came."""
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    caught: list[int] = []
+
+    def stop(number: int) -> None:
+        caught.append(number)
+        if task is not None:
+            task.cancel()
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    with suppress(NotImplementedError):  # not on every system: there the interpreter's own handling stays
+        for number in numbers:
+            loop.add_signal_handler(number, stop, number)
+    try:
+        yield caught
+    finally:
+        with suppress(NotImplementedError):
+            for number in numbers:
+                loop.remove_signal_handler(number)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.methods.method import FindingKind, Method
 from mavcal.calib.recording import Recording
-from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, json_option, write_file, write_json, writing
 from mavcal.service.commands.reading import face_option, read_recording, reading_options, split_reading
 
 HEADER = ".h"
@@ -161,7 +161,7 @@ def require_vehicle(out: Path, recording: Recording) -> None:
 
 def _export(recording: Recording, fits: tuple[FitResult, ...], out: Path) -> None:
     if out.suffix == HEADER:
-        _write(out, c_header(fits))
+        write_file(out, c_header(fits))
         return
     from mavcal.calib.firmware.compose.plan import compose
     from mavcal.calib.firmware.export import write_export
@@ -171,19 +171,9 @@ def _export(recording: Recording, fits: tuple[FitResult, ...], out: Path) -> Non
     plan = compose(fits, parameters, fingerprint(recording.identity, parameters))
     if plan.blockers:
         raise click.ClickException(f"not exported: {'; '.join(plan.blockers)}")
-    try:
+    with writing(out):
         write_export(plan, out)
-    except OSError as error:
-        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
     click.echo(f"{out}: {len(plan.changes)} parameters", err=True)
-
-
-def _write(out: Path, text: str) -> None:
-    try:
-        out.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
-    click.echo(f"{out}: {len(text.splitlines())} lines", err=True)
 
 
 def _show(fit: FitResult) -> None:

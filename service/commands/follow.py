@@ -80,7 +80,7 @@ def came_well(job: JobModel) -> bool:
 
 
 def show_came_of(job: JobModel, screen: Screen) -> None:
-    """Where the job stands, and why."""
+    """Print the state of the job and its reason."""
     outcome = job.outcome
     if outcome is None:
         text = f"its plan waits: `mavcal accept {job.id}` writes it" if job.plan is not None else ""

@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.gap_close import command as close
-from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.gap_options import (
+    LIMIT_S,
+    FiniteRange,
+    Gauge,
+    layout_option,
+    mass_option,
+    sim_frame_option,
+)
 from mavcal.service.commands.gap_selftest import command as selftest
-from mavcal.service.commands.gauge import Gauge
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.reading import parse_mapping, reading_options
 
@@ -198,7 +204,7 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effects(report: GapReport) -> None:
-    """Those of airframe and air with a heading each; those of sensors too where they are not alone."""
+    """Print effects of airframe and air, each under a heading; those of sensors too where they are not alone."""
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import groups
 
@@ -270,7 +276,7 @@ def effect_lines(effect: EffectEstimate) -> list[str]:
 
 
 def remainder_lines(left: Left) -> Iterator[str]:
-    """What is left of an effect of the airframe, parameter by parameter."""
+    """Lines on the rest of an effect of the airframe, parameter by parameter."""
     from mavcal.calib.gap_report.words import number
 
     motor = "" if not left.instances else f" of motor {', '.join(map(str, left.instances))}"

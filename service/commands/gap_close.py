@@ -11,9 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, layout_option, mass_option, sim_frame_option
-from mavcal.service.commands.gauge import Line
-from mavcal.service.commands.output import EXIT_NO, EXIT_PART, EXIT_USAGE, AnsweredNo, json_option, write_json
+from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, Line, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.output import (
+    EXIT_NO,
+    EXIT_PART,
+    EXIT_USAGE,
+    AnsweredNo,
+    json_option,
+    write_file,
+    write_json,
+)
 from mavcal.service.commands.reading import readable_file, reading_options
 
 if TYPE_CHECKING:
@@ -96,7 +103,7 @@ def command(
     from mavcal.service.closing.errors import ClosingError
     from mavcal.service.closing.loop import Closing
     from mavcal.service.closing.rounds import Outcome
-    from mavcal.service.commands.gap_files import check_folders, write
+    from mavcal.service.commands.gap_files import check_folders
 
     check_folders(() if page is None else (page,))
     with _ended_cleanly(), Line(quiet_s=_SAY_EVERY_S) as line:
@@ -119,7 +126,7 @@ def command(
     if page is not None:
         from mavcal.service.closing.report import page as page_of
 
-        write(page, page_of(result, f"The loop with {Path(options['real']).name}, closed"))
+        write_file(page, page_of(result, f"The loop with {Path(options['real']).name}, closed"))
     _answer(result, as_json=as_json)
     return {Outcome.CLOSED: 0, Outcome.NOT_TESTABLE: EXIT_NO}.get(result.outcome, EXIT_PART)
 

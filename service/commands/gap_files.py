@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from mavcal.service.commands.output import write_file
 from mavcal.service.commands.reading import readable_file
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def write_page(report: GapReport, title: str, out: Path) -> None:
     """The report as a page."""
     from mavcal.calib.gap_report import gap_to_html
 
-    write(out, gap_to_html(report, title=title))
+    write_file(out, gap_to_html(report, title=title))
 
 
 def check_exports(outs: Sequence[Path], target: str | None) -> None:
@@ -157,7 +158,7 @@ def write_exports(report: GapReport, files: Files, outs: Sequence[Path], remedy:
             click.echo(f"{out} is not written: {error}", err=True)
             written.append({"file": out.name, "for": wanted.value, "written": False, "reason": str(error)})
             continue
-        write(out, made.text)
+        write_file(out, made.text)
         for text in made.not_held:
             click.echo(f"{out} cannot hold {text}", err=True)
         for text in made.doubtful:
@@ -165,12 +166,3 @@ def write_exports(report: GapReport, files: Files, outs: Sequence[Path], remedy:
         limits = {"not_held": list(made.not_held), "doubtful": list(made.doubtful)}
         written.append({"file": out.name, "for": wanted.value, "written": True, **limits})
     return written
-
-
-def write(out: Path, text: str) -> None:
-    """Write a file, or say why not."""
-    try:
-        out.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
-    click.echo(f"{out}: {len(text.splitlines())} lines", err=True)

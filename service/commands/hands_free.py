@@ -73,7 +73,7 @@ async def wait_for_job(client: AsyncClient, job_id: str) -> JobModel:
 
 
 def outcome_text(job: JobModel) -> str:
-    """What came of a job, or what stands against its plan."""
+    """Words for the outcome of a job, or for the objection to its plan."""
     if job.outcome is not None and job.outcome.kind == "result":
         return job.outcome.text
     if job.outcome is not None:

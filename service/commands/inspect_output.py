@@ -9,7 +9,6 @@ from typing import Any
 from mavcal.calib.flight.item import worded_bounds
 
 WIDTH = 80
-MOST_LINES = 40
 HEAD, HEALTH, CHANNELS, REST, FLIGHT, NEXT = 6, 13, 6, 4, 6, 4
 """Lines of each part where not all are asked for; their sum leaves one for what is left out."""
 _BAD = frozenset({"faulty", "suspicious"})
@@ -136,7 +135,7 @@ def _flight(flight: Mapping[str, Any] | None, *, whole: bool) -> list[list[str]]
 
 
 def _steps(steps: Sequence[Mapping[str, Any]], *, whole: bool) -> list[list[str]]:
-    """What is worth fitting; in short without what is not."""
+    """Lines on the fits that are worthwhile; those that are not are left out in short."""
     entries = []
     for step in steps:
         if step["worthwhile"] or whole:

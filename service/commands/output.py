@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -49,3 +51,19 @@ def write_json(document: Mapping[str, Any]) -> None:
     from mavcal.calib.report import to_json  # brings numpy, which help and versions do without
 
     click.echo(json.dumps(to_json(document), allow_nan=False))
+
+
+@contextmanager
+def writing(out: Path) -> Iterator[None]:
+    """Say that `out` cannot be written if the block fails to. Raises ClickException."""
+    try:
+        yield
+    except OSError as error:
+        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
+
+
+def write_file(out: Path, text: str) -> None:
+    """Write a text file and say how many lines it has. Raises ClickException if it cannot be written."""
+    with writing(out):
+        out.write_text(text, encoding="utf-8", newline="\n")
+    click.echo(f"{out}: {len(text.splitlines())} lines", err=True)

@@ -97,7 +97,7 @@ async def _checked(door: Door, vehicle: VehicleModel, screen: Screen, *, wish: _
 
 
 async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen: Screen) -> list[FixModel]:
-    """What came of each calibration; the first one that does not succeed is the last."""
+    """Outcome of each calibration; the first one that does not succeed is the last."""
     from mavcal.client.enums import Fixable, JobState
     from mavcal.client.models import FixModel
     from mavcal.service.commands.hands_free import mended
@@ -125,7 +125,7 @@ def _said_meanwhile(screen: Screen) -> Iterator[None]:
 
 
 def _exit_code(found: list[PreflightModel | Refusal]) -> int:
-    """That of the worst vehicle."""
+    """Exit code of the worst vehicle."""
     verdicts = {"fail" if isinstance(one, Refusal) else one.verdict.value for one in found}
     return EXIT_NO if "fail" in verdicts else EXIT_PART if verdicts - {"pass"} else 0
 

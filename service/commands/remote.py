@@ -76,7 +76,7 @@ def key_in(file: Path | None) -> str | None:
 
 @contextmanager
 def noes() -> Iterator[None]:
-    """What a service refuses, or cannot answer, is raised as AnsweredNo."""
+    """Raise AnsweredNo where a service refuses, or cannot answer."""
     from mavcal.client import ApiProblem, UnexpectedAnswer, Unreachable
 
     try:

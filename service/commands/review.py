@@ -188,7 +188,7 @@ def exit_code(job: JobModel, wish: JobWish) -> int:
 
 
 def _proof(job: JobModel) -> ProofLevel | None:
-    """How much the streams have proved; None: the job has no result."""
+    """Level of proof by the streams; None: the job has no result."""
     return job.outcome.proof if job.outcome is not None and job.outcome.kind == "result" else None
 
 
@@ -200,7 +200,7 @@ def taken_back(job: JobModel) -> bool:
 
 
 def show_plan(plan: PlanModel, screen: Screen) -> None:
-    """What is written, what is not, and what has to be confirmed first."""
+    """Print the notes on a plan, what has to be confirmed first, its changes, and what cannot be held."""
     from mavcal.calib.firmware.options import confirmations
     from mavcal.calib.firmware.values import shown
 
@@ -216,7 +216,7 @@ def show_plan(plan: PlanModel, screen: Screen) -> None:
 
 
 def show_end(job: JobModel, screen: Screen, *, written: bool) -> None:
-    """How the job ended; for one in review, how it is written later."""
+    """Print the end of the job; for one in review, the command that writes it later."""
     from mavcal.client.enums import JobState
 
     outcome = job.outcome
@@ -241,7 +241,7 @@ def show_end(job: JobModel, screen: Screen, *, written: bool) -> None:
 
 
 def show_left_out(job: JobModel, screen: Screen) -> None:
-    """Which sensors got no new calibration, or only a part of it, and why."""
+    """Print the sensors that got no new calibration, or a part of it, with the reasons."""
     from mavcal.calib.procedures.roster import label
     from mavcal.calib.recording import Sensor
 
@@ -260,7 +260,7 @@ def show_readiness(found: VehicleReadinessModel, screen: Screen) -> None:
 
 
 def _waiting(job: JobModel, plan: PlanModel) -> str:
-    """What becomes of a plan that was not written."""
+    """Words for a plan that was not written, with the command that writes it."""
     from mavcal.calib.firmware.options import PLAN_OPTIONS, confirmations
 
     asked = confirmations(plan.blockers)

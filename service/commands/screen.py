@@ -43,7 +43,7 @@ class Screen:
         click.secho(self.place.completed(text), err=True, bold=bold)
 
     def prompt(self, text: str) -> None:
-        """What the operator is asked to do; said once, although its details may change."""
+        """Print an instruction to the operator once, although its details may change."""
         if text == self._asked:
             return
         self._asked = text

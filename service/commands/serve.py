@@ -70,10 +70,10 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         import uvicorn
 
         from mavcal.service.doorway import Doorway
-        from mavcal.service.exposure import check_exposure
         from mavcal.service.heap import share_heaps
         from mavcal.service.http import server_config
         from mavcal.service.logs import configure_logging
+        from mavcal.service.settings import check_exposure
 
     share_heaps()
     sys.setswitchinterval(SWITCH_S)

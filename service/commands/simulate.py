@@ -31,7 +31,7 @@ class _OfVehicle(click.Command):
     """Takes the options of the simulated vehicle, and lists them as other commands list theirs."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Those of the vehicle, then --help."""
+        """List the options of the vehicle, then --help."""
         from mavcal.service import simvehicle
 
         options = simvehicle.flight_options if self.name == "flight" else simvehicle.options

@@ -38,7 +38,7 @@ class Found:
 
     @property
     def document(self) -> dict[str, Any]:
-        """Who it is, as JSON."""
+        """Identity of the vehicle, as JSON."""
         if self.error is not None:
             return {"connect": self.connect, "error": {"code": self.error.code, "detail": str(self.error)}}
         assert self.vehicle is not None
@@ -106,7 +106,7 @@ async def _of_link(door: Door, url: str, whom: Whom, screen: Screen) -> list[Fou
 
 
 async def served(client: AsyncClient, whom: Whom, screen: Screen) -> list[VehicleModel]:
-    """Those vehicles of a running service that are meant, once they have said who they are.
+    """The chosen vehicles of a running service, once each has identified itself.
 
     Raises
     ------

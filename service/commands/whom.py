@@ -40,12 +40,12 @@ class Whom:
 
     @functools.cached_property
     def settings(self) -> Settings:
-        """Those of the application in this process; their own endpoints count only where every vehicle is meant."""
+        """Settings of the application in this process; their own endpoints count only where every vehicle is meant."""
         return load_settings(data_dir=self.data_dir, connect=None if self.every and not self.urls else ())
 
     @functools.cached_property
     def place(self) -> CommandPlace:
-        """The options by which the next command finds the same."""
+        """Options with which the next command finds the same vehicles."""
         only = self.ids[0] if len(self.ids) == 1 else None
         if self.url is not None:
             return CommandPlace(url=self.url, key_file=self.key_file, vehicle=only)

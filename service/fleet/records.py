@@ -9,8 +9,7 @@ import structlog
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
-from mavcal.calib.fleet.observation import ObservationSource
-from mavcal.calib.fleet.record import SensorRecord, bias_of
+from mavcal.calib.fleet.record import ObservationSource, SensorRecord, bias_of
 from mavcal.calib.fleet.standing import FailedCheck, LastPreflight
 from mavcal.calib.preflight.check import Check, Verdict
 from mavcal.calib.preflight.history import calibrates_gyros, covered_by

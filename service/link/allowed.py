@@ -15,8 +15,8 @@ from pathlib import Path
 
 from mavcal.service.errors import EndpointRefused
 from mavcal.service.link.endpoint import Endpoint, EndpointKind
-from mavcal.service.reach import ANY, NETWORKS, PRIVATE, SERIAL, SIM
-from mavcal.service.reach import network as as_network
+from mavcal.service.settings import ANY, NETWORKS, PRIVATE, SERIAL, SIM
+from mavcal.service.settings import network as as_network
 
 IpAddress = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -27,7 +27,7 @@ _FILE_OPTIONS = ("params", "config")
 
 
 class Allowed:
-    """What may be opened: the entries of :func:`service.reach.checked_entry`, and recordings inside `folders`."""
+    """What may be opened: the entries of :func:`service.settings.checked_entry`, and recordings inside `folders`."""
 
     def __init__(self, entries: Sequence[str], folders: Sequence[Path]) -> None:
         self._entries = frozenset(entries)

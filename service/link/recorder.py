@@ -1,6 +1,6 @@
 """The append-only .tlog of a link: everything received and sent, as any ground station can replay it.
 
-A link that stays open goes on in another file now and then (:mod:`service.rotation`); each file replays by itself.
+A link that stays open goes on in another file now and then (:mod:`service.retention`); each file replays by itself.
 Written without a buffer of our own, one system call a batch: what was written survives the death of this process.
 """
 

@@ -30,7 +30,7 @@ class OwedRates:
         self._owed = self._read()
 
     def all(self) -> Mapping[str, Mapping[int, int]]:
-        """What is owed to each vehicle."""
+        """Rates owed to each vehicle."""
         return dict(self._owed)
 
     def put(self, vehicle_id: str, intervals: Mapping[int, int]) -> None:

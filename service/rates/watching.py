@@ -312,7 +312,7 @@ class Attendant:
             return None
 
     def _obstacle(self) -> str | None:
-        """Why nothing is requested of the vehicle now; None: it may be."""
+        """Reason to request nothing of the vehicle now; None: requests may go out."""
         vehicle = self._vehicle()
         if vehicle is None:
             return SILENT

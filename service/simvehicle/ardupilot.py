@@ -7,12 +7,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_calibration import MagCalibration, StoredCalibrations
 from mavcal.service.simvehicle.ardupilot_commands import ArduPilotCommands
-from mavcal.service.simvehicle.ardupilot_magcal import MagCalibration
 from mavcal.service.simvehicle.ardupilot_messages import GIT_HASH, ArduPilotMessages
 from mavcal.service.simvehicle.ardupilot_protocol import ArduPilotParameters
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
-from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.config import Calibration, VehicleConfig
 from mavcal.service.simvehicle.parameters import ParameterTable, SimParameter
 from mavcal.service.simvehicle.telemetry import Telemetry

@@ -11,11 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ardupilot_calibration as calibration
 from mavcal.service.simvehicle import ardupilot_parameters as names
-from mavcal.service.simvehicle.ardupilot_accelcal import AccelCalibration
-from mavcal.service.simvehicle.ardupilot_magcal import MagCalibration
+from mavcal.service.simvehicle.ardupilot_calibration import AccelCalibration, MagCalibration, StoredCalibrations
 from mavcal.service.simvehicle.ardupilot_messages import ArduPilotMessages
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
-from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import FORCED, Received, command_parameters
@@ -101,7 +99,7 @@ class ArduPilotCommands:
     def _set_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
         if p[2] != 0:
             return DENIED
-        if not self._messages.knows(int(p[0])):
+        if int(p[0]) not in self._messages.builders:
             self._vehicle.say(f"No ap_message for mavlink id ({int(p[0])})", channel=channel)
             return DENIED
         accepted, text = self._messages.set_interval(channel, int(p[0]), p[1])
@@ -144,7 +142,7 @@ class ArduPilotCommands:
         return ACCEPTED
 
     def arming_faults(self) -> list[str]:
-        """Why arming is refused; empty where it is not."""
+        """Reasons to refuse arming; empty: none."""
         vehicle = self._vehicle
         if vehicle.table.get("ARMING_CHECK", 1.0) == 0:
             return []

@@ -1,18 +1,42 @@
-"""What ArduPilot sends: its messages, and the streams that carry them."""
+"""What ArduPilot sends: its messages, and the streams that carry them.
+
+`ArduPilotReadings` are the sensors at the instants of one tick, converted once for all messages that carry them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.ardupilot_ekf import TiltEstimate
-from mavcal.service.simvehicle.ardupilot_readings import Readings
 from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.corrections import as_float32, truncated
+from mavcal.service.simvehicle.rotation import Array, body_from_ned, euler_from_quaternions
 from mavcal.service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
-from mavcal.service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
+from mavcal.service.simvehicle.telemetry import (
+    AutopilotMessages,
+    Block,
+    Floats,
+    ImuIntegers,
+    Readings,
+    Telemetry,
+    make_block,
+    microseconds,
+    milliseconds,
+    pressure_hpa,
+)
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
+
+BIAS_STEP_S = 0.1  # vehicle time between two looks at the accelerometer
+BIAS_TIME_CONSTANT_S = 8.0  # a third of 0.38 m/s² was left after 8 s upright, as captured
+UPRIGHT = 0.8  # |cosine| between an axis and the vertical from which its bias is learned
+BIAS_LIMIT = 1.0  # m/s², EK3_ACC_BIAS_LIM
+G = 9.80665
+MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it
 
 CAPABILITIES = 64495
 VERSION = 0x04070000
@@ -46,18 +70,96 @@ STREAM_GROUPS: dict[int, tuple[int, ...]] = {
         dialect.MAVLINK_MSG_ID_VIBRATION,
     ),
 }
-
-
 HEALTH_BITS = {
     "gyro": dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO,
     "accel": dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL,
     "mag": dialect.MAV_SYS_STATUS_SENSOR_3D_MAG,
 }
 
-Builder = Callable[[Readings, int], Any]
+
+class TiltEstimate:
+    """Accelerometer bias (3,), body frame, m/s², that ArduPilot's estimator has learnt and subtracts.
+
+    On the ground EKF3 learns the bias of an axis only while that axis is within 37 deg of the vertical
+    (``NavEKF3_core::CovariancePrediction``: ``fabsF(prevTnb[index][2]) > 0.8``, else the state is held); at boot it
+    knows none. A new INS_ACCOFFS leaves what it learned: the attitude is then wrong by that much. It stays so at rest
+    (2.2 deg for 34 s, unchanged within 0.01 deg) until the axis stands upright again or the vehicle is restarted.
+    """
+
+    def __init__(self, sensors: ArduPilotSensors) -> None:
+        self._sensors = sensors
+        self.boot()
+
+    def boot(self) -> None:
+        """Reset to zero bias: after a restart the attitude is the accelerometer's."""
+        self.bias = np.zeros(3)
+        self._time = 0.0
+
+    def advance(self, until: float, *, flying: bool) -> None:
+        """Update the bias from the primary accelerometer up to a vehicle time; in flight on every axis."""
+        dt = until - self._time
+        if dt < BIAS_STEP_S:
+            return
+        self._time = until
+        state = self._sensors.world.state(np.array([until]))
+        read = self._sensors.imu(self._sensors.primary, state, noise_scale=0.0).accel[0]
+        error = read - state.force[0]
+        if not np.isfinite(read).all() or not read.any():
+            return  # a dead sensor teaches nothing
+        down = body_from_ned(state.q, np.array([0.0, 0.0, 1.0]))[0]
+        learned = np.ones(3, dtype=bool) if flying else np.abs(down) > UPRIGHT
+        follow = 1.0 - math.exp(-dt / BIAS_TIME_CONSTANT_S)
+        self.bias = np.clip(self.bias + follow * learned * (error - self.bias), -BIAS_LIMIT, BIAS_LIMIT)
+
+    def unbiased(self, force: Array) -> Array:
+        """Corrected accelerations (N, 3) minus the bias."""
+        return np.asarray(force - self.bias)
 
 
-class ArduPilotMessages:
+class ArduPilotReadings(Readings):
+    """ArduPilot's sensors at the instants of one tick."""
+
+    def __init__(self, sensors: ArduPilotSensors, tilt: TiltEstimate, times: list[float]) -> None:
+        super().__init__(sensors, times)
+        self._sensors, self._tilt = sensors, tilt
+
+    @cached_property
+    def block(self) -> Block:
+        """Attitude and the like."""
+        sensors = self._sensors
+        primary, trim = self.imu(sensors.primary), sensors.table.vector("AHRS_TRIM")
+        return make_block(sensors.world, self.state, self._tilt.unbiased(primary.accel), primary.gyro, trim)
+
+    def _as_integers(self, instance: int) -> ImuIntegers:
+        imu = self.imu(instance)
+        mag = self._sensors.compass(instance, self.state.t)
+        return (
+            truncated(imu.accel, 1000.0, G).tolist(),
+            truncated(imu.gyro, 1000.0).tolist(),
+            truncated(mag, 1.0).tolist(),
+            truncated(imu.temperature, 100.0).tolist(),
+        )
+
+    @cached_property
+    def highres(self) -> tuple[Floats, ...]:
+        """HIGHRES_IMU of the primary: its magnetometer in Gauss, or a million times that."""
+        sensors = self._sensors
+        imu = self.imu(sensors.primary)
+        factor = MAG_DEFECT if sensors.world.config.highres_mag_defect else 1.0 / MAG_DEFECT
+        mag = sensors.compass(0, self.state.t) * factor
+        return tuple(as_float32(v).tolist() for v in (imu.accel, imu.gyro, mag))
+
+    @cached_property
+    def true_euler(self) -> list[list[float]]:
+        """True roll, pitch, yaw."""
+        angles: list[list[float]] = euler_from_quaternions(self.state.q).tolist()
+        return angles
+
+
+Builder = Callable[[ArduPilotReadings, int], Any]
+
+
+class ArduPilotMessages(AutopilotMessages[ArduPilotReadings]):
     """Builds every message of this autopilot, on its stream or one at a time.
 
     `momentary` are the builders of messages that do not come from the sensors, by message id.
@@ -70,9 +172,10 @@ class ArduPilotMessages:
         telemetry: Telemetry,
         momentary: Mapping[int, Callable[[], Any]],
     ) -> None:
-        self._vehicle, self._sensors, self._telemetry = vehicle, sensors, telemetry
+        super().__init__(vehicle, telemetry)
+        self._sensors = sensors
         self.tilt = TiltEstimate(sensors)
-        self._builders: dict[int, Builder] = {
+        self.builders |= {
             dialect.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
             dialect.MAVLINK_MSG_ID_SCALED_IMU: self._scaled_imu(dialect.MAVLink_scaled_imu_message, 0),
             dialect.MAVLINK_MSG_ID_SCALED_IMU2: self._scaled_imu(dialect.MAVLink_scaled_imu2_message, 1),
@@ -82,18 +185,12 @@ class ArduPilotMessages:
             dialect.MAVLINK_MSG_ID_SYS_STATUS: lambda r, i: self._sys_status(r.block.current[i]),
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _of_instant(self.version),
             dialect.MAVLINK_MSG_ID_HEARTBEAT: _of_instant(vehicle.heartbeat),
-            **{k: _of_block(builder) for k, builder in telemetry.builders.items()},
             **{k: _of_instant(builder) for k, builder in momentary.items()},
         }
 
-    def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
-        """Send the messages (time, order, channel, message id) that fall due; `times` are their instants."""
-        readings = Readings(self._sensors, self.tilt, times)
-        position = {moment: i for i, moment in enumerate(times)}
-        for moment, _, channel, message_id in due:
-            message = self._builders[message_id](readings, position[moment])
-            if message is not None:
-                channel.send(message)
+    def readings(self, times: list[float]) -> ArduPilotReadings:
+        """See AutopilotMessages."""
+        return ArduPilotReadings(self._sensors, self.tilt, times)
 
     def version(self) -> Any:
         """AUTOPILOT_VERSION."""
@@ -113,22 +210,6 @@ class ArduPilotMessages:
             message_id, interval_ms, self._vehicle.first_due(channel, message_id)
         )
         return True, ""
-
-    def knows(self, message_id: int) -> bool:
-        """Whether this message can be sent at all."""
-        return message_id in self._builders
-
-    def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
-        """What MESSAGE_INTERVAL says: 0 for a message that is unknown, −1 for one that is off."""
-        if message_id not in self._builders:
-            return 0
-        stream = channel.streams.get(message_id)
-        return -1 if stream is None else stream.interval_us
-
-    def one(self, message_id: int) -> Any:
-        """One message of this instant, for REQUEST_MESSAGE; None if it cannot be sent."""
-        builder = self._builders.get(message_id)
-        return None if builder is None else builder(Readings(self._sensors, self.tilt, [self._vehicle.time]), 0)
 
     def request_data_stream(self, channel: MavlinkChannel, message: Any) -> None:
         """REQUEST_DATA_STREAM: one group of messages, or all of them, at one rate."""
@@ -156,21 +237,21 @@ class ArduPilotMessages:
             0, 0, 0, 0, 0, 0, 0, 0, 0,
         )  # fmt: skip
 
-    def _raw_imu(self, r: Readings, i: int) -> Any:
+    def _raw_imu(self, r: ArduPilotReadings, i: int) -> Any:
         accel, gyro, mag, temperature = r.integers(0)
         return dialect.MAVLink_raw_imu_message(
             microseconds(r.block.t[i]), *accel[i], *gyro[i], *mag[i], 0, temperature[i]
         )
 
     def _scaled_imu(self, message_class: Any, instance: int) -> Builder:
-        def build(r: Readings, i: int) -> Any:
+        def build(r: ArduPilotReadings, i: int) -> Any:
             accel, gyro, mag, temperature = r.integers(instance)
             return message_class(milliseconds(r.block.t[i]), *accel[i], *gyro[i], *mag[i], temperature[i])
 
         return build
 
-    def _highres_imu(self, r: Readings, i: int) -> Any:
-        accel, gyro, mag = r.floats()
+    def _highres_imu(self, r: ArduPilotReadings, i: int) -> Any:
+        accel, gyro, mag = r.highres
         pressure = pressure_hpa(self._vehicle.config.altitude_m)
         temperature = self._telemetry.baro_temperature(r.block.t[i])
         return dialect.MAVLink_highres_imu_message(
@@ -178,16 +259,12 @@ class ArduPilotMessages:
             HIGHRES_FIELDS, self._sensors.primary,
         )  # fmt: skip
 
-    def _simstate(self, r: Readings, i: int) -> Any:
+    def _simstate(self, r: ArduPilotReadings, i: int) -> Any:
         state = r.state
-        roll, pitch, yaw = r.true_euler()[i]
+        roll, pitch, yaw = r.true_euler[i]
         force, rate = state.force[i].tolist(), state.rate[i].tolist()
         lat, lon = round(self._vehicle.config.latitude_deg * 1e7), round(self._vehicle.config.longitude_deg * 1e7)
         return dialect.MAVLink_simstate_message(roll, pitch, yaw, *force, *rate, lat, lon)
-
-
-def _of_block(builder: Callable[[Block, int], Any]) -> Builder:
-    return lambda readings, i: builder(readings.block, i)
 
 
 def _of_instant(builder: Callable[[], Any]) -> Builder:

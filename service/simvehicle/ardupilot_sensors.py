@@ -18,7 +18,7 @@ from mavcal.service.simvehicle.mounting import CustomRotations
 from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.rotation import Array
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
-from mavcal.service.simvehicle.world import MotionState, SimWorld
+from mavcal.service.simvehicle.world import ImuReading, MotionState, SimWorld
 
 MGAUSS_PER_UT = 10.0
 COMPASS_PERIOD_S = 0.1  # Copter's battery and compass task
@@ -38,15 +38,6 @@ class ImuCalibration:
     gyro_thermal: ArduPilotThermal | None
     accel_caltemp: float
     gyro_caltemp: float
-
-
-@dataclass(frozen=True)
-class ImuReading:
-    """Corrected accelerometer and gyroscope (N, 3) in the body frame, and temperature (N,)."""
-
-    accel: Array
-    gyro: Array
-    temperature: Array
 
 
 def compass_reader(world: SimWorld) -> MagReader:
@@ -84,7 +75,7 @@ class ArduPilotSensors:
         self.reader.restart()
 
     def unhealthy(self, kind: str) -> bool:
-        """What the firmware itself notices: any inertial unit, and of the compasses the first one alone."""
+        """Whether the firmware itself notices a fault: of any inertial unit, and of the first compass alone."""
         return self._faults.fails("mag", 0) if kind == "mag" else self._faults.any(kind)
 
     @property

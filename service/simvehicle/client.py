@@ -159,7 +159,7 @@ class SimulatedVehicle:
             self.process.wait()
             self._stderr.seek(0)
             complaint = self._stderr.read().decode(errors="replace").strip()
-            raise StartError(f"the simulated vehicle did not come up: {complaint or 'it complaint nothing'}")
+            raise StartError(f"the simulated vehicle did not come up: {complaint or 'it said nothing'}")
         ready: dict[str, Any] = json.loads(line)
         return ready
 
@@ -181,13 +181,13 @@ class SimulatedVehicle:
     def truth(self, since: float | None = None, until: float | None = None) -> dict[str, Any]:
         """The whole truth of the sensors at this moment, or in the mean of a span of vehicle seconds of this boot.
 
-        As `truthreport.truth_report` gives it.
+        As `verbs.truth_report` gives it.
         """
         span = {name: t for name, t in (("since", since), ("until", until)) if t is not None}
         return dict(self.call("truth", **span)["truth"])
 
     def parameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What the corrections really use, and what a read would give: in force, stored."""
+        """Values that the corrections use, and those that a read would give: in force, stored."""
         reply = self.call("parameters")
         return reply["in_force"], reply["stored"]
 

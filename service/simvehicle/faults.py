@@ -69,7 +69,7 @@ class Site(Protocol):
 
     @property
     def links(self) -> Sequence[FaultyLink]:
-        """What its frames pass."""
+        """Impairments that its frames pass."""
         ...
 
     def add_twin(self) -> None:

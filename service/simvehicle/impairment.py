@@ -68,7 +68,7 @@ class FaultyLink:
         self.incoming, self.outgoing = incoming, outgoing
 
     def sockets(self) -> list[socket.socket | int]:
-        """What to wait on."""
+        """Sockets on which to wait for frames."""
         return self._link.sockets()
 
     def send(self, frame: bytes) -> None:

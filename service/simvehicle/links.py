@@ -53,7 +53,7 @@ class SimEndpoint(ABC):
 
     @abstractmethod
     def sockets(self) -> list[socket.socket | int]:
-        """What to wait on."""
+        """Sockets on which to wait for frames."""
 
     @abstractmethod
     def poll(self) -> Iterator[bytes]:

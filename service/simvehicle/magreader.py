@@ -75,7 +75,7 @@ class MagReader:
         ]
 
     def indices(self, t: Array) -> Array:
-        """Which kept reading is the latest at each time t (N,)."""
+        """Index of the latest kept reading at each time t (N,)."""
         found = np.searchsorted(self._times, t + 1e-9, side="right") - 1
         return np.maximum(found, 0)
 
@@ -84,5 +84,5 @@ class MagReader:
         return np.asarray(self._values[instance][self.indices(t)])
 
     def read_at(self, t: Array) -> Array:
-        """When the reading that is valid at times t was taken, shape (N,)."""
+        """Times (N,) of the readings that are valid at times t."""
         return np.asarray(self._times[self.indices(t)])

@@ -94,7 +94,7 @@ class Operator:
         self._doing = None
 
     def answer(self, prompt: Mapping[str, Any] | None) -> str | None:
-        """What to answer to `prompt`; None: it asks for no number."""
+        """Answer to `prompt`; None: it asks for no number."""
         number = None if prompt is None else prompt["number"]
         if number is None:
             return None

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.simvehicle import px4_parameters as names
 from mavcal.service.simvehicle.config import VehicleConfig
 from mavcal.service.simvehicle.parameters import ParameterTable, SimParameter
+from mavcal.service.simvehicle.px4_calibration import GyroWriter
 from mavcal.service.simvehicle.px4_commands import Px4Commands
-from mavcal.service.simvehicle.px4_gyrocal import GyroWriter
 from mavcal.service.simvehicle.px4_messages import Px4Messages
 from mavcal.service.simvehicle.px4_protocol import Px4Parameters
 from mavcal.service.simvehicle.px4_sensors import Px4Sensors

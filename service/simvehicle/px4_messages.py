@@ -1,18 +1,48 @@
-"""What PX4 sends: its messages, the streams that carry them, and those that nobody has to ask for."""
+"""What PX4 sends: its messages, the streams that carry them, and those that nobody has to ask for.
+
+`Px4Readings` are the sensors at the instants of one tick, converted once for all messages that carry them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.px4_ekf import Estimator
-from mavcal.service.simvehicle.px4_readings import NewFields, Px4Readings
-from mavcal.service.simvehicle.px4_sensors import Px4Sensors
+from mavcal.service.simvehicle.corrections import as_float32, truncated
+from mavcal.service.simvehicle.px4_sensors import GAUSS_PER_UT, Px4Sensors
+from mavcal.service.simvehicle.rotation import Array, body_from_ned
 from mavcal.service.simvehicle.streams import px4_stream
-from mavcal.service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
+from mavcal.service.simvehicle.telemetry import (
+    AutopilotMessages,
+    Block,
+    Floats,
+    ImuIntegers,
+    Readings,
+    Rows,
+    Telemetry,
+    make_block,
+    microseconds,
+    milliseconds,
+    pressure_hpa,
+)
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
+
+BIAS_TIME_CONSTANT_S = 8.0  # how fast a bias estimate follows the true error
+BIAS_WANDER_S = 30.0
+ACCEL_WANDER = 0.05  # m/s²: rms of the estimate's own wandering at rest (0.02 … 0.16 seen)
+GYRO_WANDER = 2.0e-4  # rad/s
+MAG_WANDER = 0.002  # Gauss
+ACCEL_LIMIT = 0.4  # m/s², EKF2_ABL_LIM
+G = 9.80665
+MGAUSS_PER_GAUSS = 1000.0
+HIGHRES_MAG_HZ = 15.0
+BARO_HZ = 20.0
+ACCEL_GYRO_BITS, MAG_BITS, BARO_BITS = 63, 448, 6656
 
 CAPABILITIES = 59647
 VERSION = 0x01110040
@@ -48,17 +78,133 @@ RADIO_STREAMS: dict[int, float] = {
 }
 
 
+class BiasEstimate:
+    """One vector bias: follows the error of the corrected sensor, and wanders."""
+
+    def __init__(self, wander: float, limit: float, rng: np.random.Generator) -> None:
+        self._wander_sd, self._limit, self._rng = wander, limit, rng
+        self._estimate = np.zeros(3)
+        self._wander = np.zeros(3)
+        self._time = 0.0
+
+    def advance(self, until: float, error: Array) -> Array:
+        """The estimate at a time, given the present error of the corrected sensor (3,)."""
+        dt = until - self._time
+        if dt > 0:
+            self._time = until
+            follow = 1.0 - math.exp(-dt / BIAS_TIME_CONSTANT_S)
+            self._estimate = self._estimate + follow * (error - self._estimate)
+            keep = math.exp(-dt / BIAS_WANDER_S)
+            self._wander = keep * self._wander
+            self._wander = self._wander + self._rng.normal(0, self._wander_sd * math.sqrt(1 - keep * keep), 3)
+        return np.clip(self._estimate + self._wander, -self._limit, self._limit)
+
+
+class Estimator:
+    """The three biases that PX4 subtracts from HIGHRES_IMU: they hide what a calibration looks for."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng([seed, 3])
+        self.accel = BiasEstimate(ACCEL_WANDER, ACCEL_LIMIT, rng)
+        self.gyro = BiasEstimate(GYRO_WANDER, 1.0, rng)
+        self.mag = BiasEstimate(MAG_WANDER, 1.0, rng)
+
+
+class NewFields:
+    """Which fields of HIGHRES_IMU are new since the last one: a magnetometer and a barometer tick more slowly."""
+
+    def __init__(self) -> None:
+        self._mag = self._baro = -1.0
+
+    def advance(self, mag_tick: Array, baro_tick: Array) -> list[int]:
+        """`fields_updated` at each instant, given the ticks that its values are of."""
+        new_mag = np.diff(mag_tick, prepend=self._mag) > 0
+        new_baro = np.diff(baro_tick, prepend=self._baro) > 0
+        self._mag, self._baro = float(mag_tick[-1]), float(baro_tick[-1])
+        bits = ACCEL_GYRO_BITS + MAG_BITS * new_mag.astype(int) + BARO_BITS * new_baro.astype(int)
+        return [int(b) for b in bits]
+
+
+class Px4Readings(Readings):
+    """PX4's sensors at the instants of one tick.
+
+    `estimator` and `fields` remember what went before; `armed` decides about a compensation by thrust.
+    """
+
+    def __init__(
+        self, sensors: Px4Sensors, estimator: Estimator, fields: NewFields, times: list[float], *, armed: bool
+    ) -> None:
+        super().__init__(sensors, times)
+        self._sensors, self._estimator, self._fields, self._armed = sensors, estimator, fields, armed
+
+    def _as_integers(self, instance: int) -> ImuIntegers:
+        imu, mag = self.imu(instance), self.raw_mag(instance)
+        temperature = np.round(imu.temperature * 100).astype(np.int64)
+        temperature[temperature == 0] = 1  # 0 would mean "no temperature"
+        return (
+            truncated(imu.accel, 1000.0, G).tolist(),
+            truncated(imu.gyro, 1000.0).tolist(),
+            mag,
+            np.clip(temperature, -32768, 32767).tolist(),
+        )
+
+    def raw_mag(self, instance: int) -> Rows:
+        """Raw mGauss alone."""
+        rows: Rows = truncated(self._sensors.raw_mag(instance, self.state.t), MGAUSS_PER_GAUSS).tolist()
+        return rows
+
+    @cached_property
+    def unbiased(self) -> tuple[Array, Array]:
+        """Primary accelerometer and gyroscope minus what the estimator takes for bias.
+
+        A wrong level (SENS_BOARD_*_OFF) turns all of them alike, which no estimator can tell from a vehicle that stands
+        askew: it follows the accelerometers.
+        """
+        imu, ekf, end = self.imu(self._sensors.primary), self._estimator, float(self.state.t[-1])
+        turn = self._sensors.level.T
+        accel_bias = ekf.accel.advance(end, _error(imu.accel, self.state.force @ turn))
+        gyro_bias = ekf.gyro.advance(end, _error(imu.gyro, self.state.rate @ turn))
+        return imu.accel - accel_bias, imu.gyro - gyro_bias
+
+    @cached_property
+    def highres(self) -> tuple[Floats, Floats, Floats, list[int]]:
+        """HIGHRES_IMU: m/s², rad/s, Gauss, and which fields are new."""
+        sensors, t = self._sensors, self.state.t
+        accel, gyro = self.unbiased
+        tick = np.floor(t * HIGHRES_MAG_HZ + 1e-6)
+        mag: Array = np.zeros((len(t), 3))
+        if sensors.mags:
+            mag = sensors.mag(0, tick / HIGHRES_MAG_HZ, armed=self._armed)
+            true = body_from_ned(sensors.world.motion.evaluate(t)[0], sensors.world.field) * GAUSS_PER_UT
+            mag = mag - self._estimator.mag.advance(float(t[-1]), _error(mag, true))
+        accel_rows, gyro_rows, mag_rows = (as_float32(v).tolist() for v in (accel, gyro, mag))
+        return accel_rows, gyro_rows, mag_rows, self._fields.advance(tick, np.floor(t * BARO_HZ + 1e-6))
+
+    @cached_property
+    def block(self) -> Block:
+        """Attitude and the like, from the estimator."""
+        accel, gyro = self.unbiased
+        return make_block(self._sensors.world, self.state, accel, gyro, np.zeros(3))
+
+
+def _error(measured: Array, true: Array) -> Array:
+    """Mean error of a block; a sensor that fails gives the estimator nothing."""
+    error = np.mean(measured - true, axis=0)
+    return np.asarray(np.where(np.isfinite(error), error, 0.0))
+
+
 Builder = Callable[[Px4Readings, int], Any]
 
 
-class Px4Messages:
+class Px4Messages(AutopilotMessages[Px4Readings]):
     """Builds every message of this autopilot, on its stream or one at a time."""
 
     def __init__(self, vehicle: FlightController, sensors: Px4Sensors, telemetry: Telemetry) -> None:
-        self._vehicle, self._sensors, self._telemetry = vehicle, sensors, telemetry
+        super().__init__(vehicle, telemetry)
+        self._sensors = sensors
         self._unasked = SITL_STREAMS if vehicle.config.sitl else RADIO_STREAMS
         self._estimator, self._fields = Estimator(vehicle.config.seed), NewFields()
-        self._builders: dict[int, Builder] = {
+        self.builders |= {
             dialect.MAVLINK_MSG_ID_SCALED_IMU: self._scaled_imu(dialect.MAVLink_scaled_imu_message, 0),
             dialect.MAVLINK_MSG_ID_SCALED_IMU2: self._scaled_imu(dialect.MAVLink_scaled_imu2_message, 1),
             dialect.MAVLINK_MSG_ID_SCALED_IMU3: self._scaled_imu(dialect.MAVLink_scaled_imu3_message, 2),
@@ -66,7 +212,6 @@ class Px4Messages:
             dialect.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             dialect.MAVLINK_MSG_ID_HEARTBEAT: lambda _r, _i: vehicle.heartbeat(),
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda _r, _i: self.version(),
-            **{k: _of_block(builder) for k, builder in telemetry.builders.items()},
         }
 
     def boot(self) -> None:
@@ -77,23 +222,15 @@ class Px4Messages:
             for message_id, rate in self._unasked.items():
                 channel.streams[message_id] = px4_stream(message_id, 1e6 / rate, STREAM_START_S)
 
-    def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
-        """Send the messages (time, order, channel, message id) that fall due; `times` are their instants."""
-        readings = self._readings(times)
-        position = {moment: i for i, moment in enumerate(times)}
-        for moment, _, channel, message_id in due:
-            message = self._builders[message_id](readings, position[moment])
-            if message is not None:
-                channel.send(message)
-
-    def _readings(self, times: list[float]) -> Px4Readings:
+    def readings(self, times: list[float]) -> Px4Readings:
+        """See AutopilotMessages."""
         return Px4Readings(self._sensors, self._estimator, self._fields, times, armed=self._vehicle.armed)
 
     # --- streams
 
     def set_interval(self, channel: MavlinkChannel, message_id: int, interval_us: float) -> bool:
         """SET_MESSAGE_INTERVAL: False for a message that this build does not stream."""
-        if message_id not in self._builders:
+        if message_id not in self.builders:
             return False
         if interval_us < 0:
             channel.streams.pop(message_id, None)
@@ -111,18 +248,6 @@ class Px4Messages:
             channel.streams.pop(message_id, None)
         else:
             channel.streams[message_id] = px4_stream(message_id, 1e6 / rate, self._vehicle.time)
-
-    def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
-        """What MESSAGE_INTERVAL says: 0 unknown, −1 off."""
-        if message_id not in self._builders:
-            return 0
-        stream = channel.streams.get(message_id)
-        return -1 if stream is None else stream.interval_us
-
-    def one(self, message_id: int) -> Any:
-        """One message of this instant; None if it cannot be sent."""
-        builder = self._builders.get(message_id)
-        return None if builder is None else builder(self._readings([self._vehicle.time]), 0)
 
     # --- messages
 
@@ -157,14 +282,10 @@ class Px4Messages:
         return message_class(milliseconds(float(r.state.t[i])), 0, 0, 0, 0, 0, 0, *mag, 0)
 
     def _highres_imu(self, r: Px4Readings, i: int) -> Any:
-        accel, gyro, mag, updated = r.highres()
+        accel, gyro, mag, updated = r.highres
         altitude = self._vehicle.config.altitude_m
         temperature = self._telemetry.baro_temperature(float(r.state.t[i]))
         return dialect.MAVLink_highres_imu_message(
             microseconds(float(r.state.t[i])), *accel[i], *gyro[i], *mag[i], pressure_hpa(altitude), 0.0, altitude,
             temperature, updated[i], 0,
         )  # fmt: skip
-
-
-def _of_block(builder: Callable[[Block, int], Any]) -> Builder:
-    return lambda readings, i: builder(readings.block, i)

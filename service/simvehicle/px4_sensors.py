@@ -15,20 +15,11 @@ from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.px4_memory import SensorMemory
 from mavcal.service.simvehicle.rotation import Array, matrix_from_degrees, mounting_matrix
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
-from mavcal.service.simvehicle.world import MotionState, SimWorld
+from mavcal.service.simvehicle.world import ImuReading, MotionState, SimWorld
 
 GAUSS_PER_UT = 0.01
 MAG_PERIOD_S = 0.02  # raw magnetometers are new 50 times a second
 COMPENSATION_THRUST, COMPENSATION_CURRENT = 1, (2, 3)
-
-
-@dataclass(frozen=True)
-class Px4Reading:
-    """Corrected accelerometer and gyroscope (N, 3) in the body frame, temperature (N,)."""
-
-    accel: Array
-    gyro: Array
-    temperature: Array
 
 
 @dataclass(frozen=True)
@@ -115,7 +106,7 @@ class Px4Sensors:
         present = [k for k in range(len(self.accels)) if self.present(k)]
         return max(present, key=lambda k: (self.accels[k].priority, -k)) if present else 0
 
-    def imu(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> Px4Reading:
+    def imu(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> ImuReading:
         """Corrected readings of one instance at the times of a state."""
         temperature = self.world.temperature_read(instance, state.t)
         a, g = self.accels[instance], self.gyros[instance]
@@ -125,7 +116,7 @@ class Px4Sensors:
         gyro = px4_gyro(raw_gyro, g.offset, self._tc("G", instance, temperature), self.body_from_sensor)
         if self._faults.stuck("accel", instance):
             temperature = np.full_like(temperature, temperature[0])
-        return Px4Reading(
+        return ImuReading(
             self._faults.apply("accel", instance, accel), self._faults.apply("gyro", instance, gyro), temperature
         )
 

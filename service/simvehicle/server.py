@@ -1,28 +1,34 @@
-"""The loop of the process: sockets in, vehicle time forward, frames out, once a tick of the wall clock."""
+"""The loop of the process: sockets in, vehicle time forward, frames out, once a tick of the wall clock.
+
+The control channel has one JSON object a line over TCP on loopback, each answered by one.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import select
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from mavcal.service.simvehicle.config import Calibration, SimAutopilot, VehicleConfig
-from mavcal.service.simvehicle.control import ControlServer
 from mavcal.service.simvehicle.earlier import earlier_calibration
-from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.errors import ControlError, SimulatedVehicleError
 from mavcal.service.simvehicle.faults import Injector
 from mavcal.service.simvehicle.impairment import FaultyLink
-from mavcal.service.simvehicle.links import SimEndpoint
+from mavcal.service.simvehicle.links import SimEndpoint, bound_socket
 from mavcal.service.simvehicle.scripts import SCRIPTS
 from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.verbs import Verbs
 from mavcal.service.simvehicle.wire import Packer, Received
 
+MAX_LINE = 1 << 20
+Handler = Callable[[str, Mapping[str, Any]], dict[str, Any]]
 TICK_S = 0.005
 FAST, FAST_TICK_S = 5.0, 0.010  # from this speed on, longer ticks: whatever arrives still ends the wait
 MAX_STEP_S = 0.05  # of wall time: a process that was suspended neither catches up nor floods its peer
@@ -30,6 +36,78 @@ MAX_SPEED = 1000.0
 TWIN_SEED = 1000  # how far a twin's seed is from its vehicle's
 
 Ready = set[socket.socket | int]
+
+
+class ControlServer:
+    """Accepts any number of clients; every request names what to `do` and is answered with its `id`."""
+
+    def __init__(self, port: int, handler: Handler) -> None:
+        self._listener = bound_socket(socket.SOCK_STREAM, ("127.0.0.1", port))
+        self._listener.listen()
+        host, self.port = self._listener.getsockname()
+        self.address = f"{host}:{self.port}"
+        self._handler = handler
+        self._clients: dict[socket.socket, bytearray] = {}
+
+    def sockets(self) -> list[socket.socket]:
+        """Sockets on which to wait for frames."""
+        return [self._listener, *self._clients]
+
+    def poll(self) -> None:
+        """Answer everything that has arrived."""
+        try:
+            client, _ = self._listener.accept()
+            client.setblocking(False)  # noqa: FBT003
+            self._clients[client] = bytearray()
+        except (BlockingIOError, OSError):
+            client = None
+        for client in list(self._clients):
+            self._serve(client)
+
+    def _serve(self, client: socket.socket) -> None:
+        buffer = self._clients[client]
+        try:
+            data = client.recv(65536)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        buffer += data
+        if not data or len(buffer) > MAX_LINE:
+            self._forget(client)
+            return
+        while (end := buffer.find(b"\n")) >= 0:
+            line = bytes(buffer[:end])
+            del buffer[: end + 1]
+            self._answer(client, line)
+
+    def _answer(self, client: socket.socket, line: bytes) -> None:
+        identifier: Any = None
+        try:
+            request = json.loads(line)
+            if not isinstance(request, dict) or not isinstance(request.get("do"), str):
+                raise ValueError('a request is an object such as {"id": 1, "do": "state"}')
+            identifier = request.pop("id", None)
+            reply = {"id": identifier, "ok": True, **self._handler(request.pop("do"), request)}
+        except (SimulatedVehicleError, ValueError, TypeError, KeyError) as error:
+            reply = {"id": identifier, "ok": False, "error": f"{type(error).__name__}: {error}"}
+        try:
+            client.setblocking(True)  # noqa: FBT003
+            client.settimeout(1.0)
+            client.sendall(json.dumps(reply).encode() + b"\n")
+            client.setblocking(False)  # noqa: FBT003
+        except OSError:
+            self._forget(client)
+
+    def _forget(self, client: socket.socket) -> None:
+        client.close()
+        self._clients.pop(client, None)
+
+    def close(self) -> None:
+        """Release the port and every client."""
+        for client in list(self._clients):
+            self._forget(client)
+        self._listener.close()
 
 
 def make_vehicle(config: VehicleConfig) -> FlightController:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -19,10 +20,13 @@ from mavcal.service.simvehicle.rotation import (
     quaternion_from_euler,
     shortest_rotation,
 )
-from mavcal.service.simvehicle.vehicle import FlightController
-from mavcal.service.simvehicle.world import MotionState, SimWorld
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
+from mavcal.service.simvehicle.world import ImuReading, MotionState, SimWorld
 
 Builder = Callable[["Block", int], Any]
+Rows = list[list[int]]
+ImuIntegers = tuple[Rows, Rows, Rows, list[int]]
+Floats = list[list[float]]
 
 BATTERY_VOLTS = 12.6
 BATTERY_OHMS = 0.01
@@ -196,3 +200,88 @@ class Telemetry:
 
 def _e7(degrees: float) -> int:
     return round(degrees * 1e7)
+
+
+class InertialSensors(Protocol):
+    """Corrections of the readings of inertial units."""
+
+    world: SimWorld
+
+    def imu(self, instance: int, state: MotionState) -> ImuReading:
+        """Corrected readings of one instance at the times of a state."""
+        ...
+
+
+class Readings(abc.ABC):
+    """The sensors at the instants of one tick, converted once: every message of an instant carries the same sample."""
+
+    def __init__(self, sensors: InertialSensors, times: list[float]) -> None:
+        self._inertial = sensors
+        self.state = sensors.world.state(np.asarray(times))
+        self._imus: dict[int, ImuReading] = {}
+        self._integers: dict[int, ImuIntegers] = {}
+
+    def imu(self, instance: int) -> ImuReading:
+        """One IMU's corrected readings."""
+        if instance not in self._imus:
+            self._imus[instance] = self._inertial.imu(instance, self.state)
+        return self._imus[instance]
+
+    def integers(self, instance: int) -> ImuIntegers:
+        """mG, mrad/s, mGauss and centidegrees of an instance, as the C++ casts make them."""
+        if instance not in self._integers:
+            self._integers[instance] = self._as_integers(instance)
+        return self._integers[instance]
+
+    @abc.abstractmethod
+    def _as_integers(self, instance: int) -> ImuIntegers:
+        """See `integers`, made anew."""
+
+    @property
+    @abc.abstractmethod
+    def block(self) -> Block:
+        """Attitude and the like."""
+
+
+R = TypeVar("R", bound=Readings)
+
+
+class AutopilotMessages(abc.ABC, Generic[R]):
+    """Every message of an autopilot, on its stream or one at a time.
+
+    `builders` make a message of the readings of a tick and the number of an instant, by message id.
+    """
+
+    def __init__(self, vehicle: FlightController, telemetry: Telemetry) -> None:
+        self._vehicle, self._telemetry = vehicle, telemetry
+        self.builders: dict[int, Callable[[R, int], Any]] = {
+            message_id: self._of_block(builder) for message_id, builder in telemetry.builders.items()
+        }
+
+    def _of_block(self, builder: Builder) -> Callable[[R, int], Any]:
+        return lambda readings, i: builder(readings.block, i)
+
+    @abc.abstractmethod
+    def readings(self, times: list[float]) -> R:
+        """The sensors at these instants."""
+
+    def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
+        """Send the messages (time, order, channel, message id) that fall due; `times` are their instants."""
+        readings = self.readings(times)
+        position = {moment: i for i, moment in enumerate(times)}
+        for moment, _, channel, message_id in due:
+            message = self.builders[message_id](readings, position[moment])
+            if message is not None:
+                channel.send(message)
+
+    def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
+        """Interval in MESSAGE_INTERVAL: 0 for a message that is unknown, −1 for one that is off."""
+        if message_id not in self.builders:
+            return 0
+        stream = channel.streams.get(message_id)
+        return -1 if stream is None else stream.interval_us
+
+    def one(self, message_id: int) -> Any:
+        """One message of this instant, for REQUEST_MESSAGE; None if it cannot be sent."""
+        builder = self.builders.get(message_id)
+        return None if builder is None else builder(self.readings([self._vehicle.time]), 0)

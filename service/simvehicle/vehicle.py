@@ -118,7 +118,7 @@ class FlightController(ABC):
 
     @abstractmethod
     def arming_faults(self) -> list[str]:
-        """What it would say against arming now; empty: nothing."""
+        """Reasons against arming now; empty: none."""
 
     @abstractmethod
     def foreign_set(self, name: str, value: float) -> None:
@@ -129,7 +129,7 @@ class FlightController(ABC):
         """The vehicle begins a calibration of its own."""
 
     def banner(self) -> list[str]:
-        """What is said before a parameter list."""
+        """Texts sent before a parameter list."""
         return []
 
     def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample

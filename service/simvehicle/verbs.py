@@ -45,7 +45,7 @@ class Process(Protocol):
 
     @property
     def lag_s(self) -> float:
-        """How far the last tick came too late, s of the wall clock."""
+        """Delay of the last tick, s of the wall clock."""
         ...
 
     def set_speed(self, value: float) -> None:

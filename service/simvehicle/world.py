@@ -151,6 +151,15 @@ class MotionState:
     force: Array
 
 
+@dataclass(frozen=True)
+class ImuReading:
+    """Corrected accelerometer and gyroscope (N, 3) in the body frame, and temperature (N,)."""
+
+    accel: Array
+    gyro: Array
+    temperature: Array
+
+
 class SimWorld:
     """Truth, motion, temperature and motors of one vehicle, and the raw readings that follow from them."""
 

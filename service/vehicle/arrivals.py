@@ -85,7 +85,7 @@ class Watch:
 
     @property
     def first_at(self) -> float | None:
-        """When the first sample came; None: none has yet."""
+        """Time of the first sample; None: none has come yet."""
         return None if self._began is None else self._began[0]
 
     def take(self, frames: Sequence[Frame], batch: Batch) -> None:

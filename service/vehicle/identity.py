@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.firmware.unit_id import unit_id
+from mavcal.calib.firmware.device_ids import unit_id
 from mavcal.calib.wire import Message, ParameterEncoding, usual_encoding
 
 

@@ -37,7 +37,7 @@ class Pace:
         self._mean += _SMOOTHING * (seconds - self._mean)
 
     def patience(self, at_first: float, least: float) -> float:
-        """How long to wait for an answer, s.
+        """Time to wait for an answer, s.
 
         Parameters
         ----------

@@ -83,12 +83,12 @@ class Holder(Addressee, Protocol):
 
     @property
     def identity(self) -> VehicleIdentity:
-        """Who it is: this says how it encodes values."""
+        """Identity of the vehicle, which decides how it encodes values."""
         ...
 
     @property
     def pace(self) -> Pace:
-        """How fast it answers."""
+        """Pace of its answers."""
         ...
 
     @property
@@ -135,7 +135,7 @@ class Parameters(Mapping[str, Parameter]):
 
     @property
     def encoding(self) -> ParameterEncoding:
-        """How this vehicle sends values."""
+        """Encoding in which this vehicle sends values."""
         return self._vehicle.identity.encoding
 
     def listen(self, listener: ParameterListener) -> Callable[[], None]:

@@ -275,7 +275,7 @@ async def _late_anyway(vehicle: Vehicle, message_ids: Sequence[int], idle_s: flo
 
 
 def _age_s(vehicle: Vehicle) -> float:
-    """How long ago the link was seen to carry little; infinite if it never was."""
+    """Seconds since the link was seen to carry little; infinite if it never was."""
     return math.inf if vehicle.carried is None else vehicle.clock() - vehicle.carried[1]
 
 

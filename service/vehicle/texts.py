@@ -35,7 +35,7 @@ class ChunkedText:
         return len(last[1]) < CHUNK_BYTES and numbers == list(range(len(numbers)))
 
     def text(self, at: float) -> StatusText:
-        """What has come, with a mark where a chunk is missing."""
+        """The chunks that came, with a mark where one is missing."""
         pieces = dict(self.pieces)
         gap = "…".encode()
         joined = joined_text(pieces.get(number, gap) for number in range(max(pieces) + 1))

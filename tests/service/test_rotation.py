@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service import rotation
+from mavcal.service import retention
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 
@@ -38,7 +38,7 @@ async def another(a: Api) -> None:
 async def test_logs_rotate_but_for_a_capture_and_the_oldest_go_but_for_evidence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rotation, "PERIOD_S", 0.1)
+    monkeypatch.setattr(retention, "LOOK_S", 0.1)
     limits = {"tlog_bytes": SIZE, "tlogs_bytes": 4 * SIZE}
     with SimulatedVehicle("ardupilot", speed=4, config={"thermal": False}) as sim:
         async with api(tmp_path, connect=(sim.url,), retention=limits) as a:

@@ -15,10 +15,6 @@ from mavcal.calib.conventions import (
     imu_tk_from_model,
     kalibr_from_model,
     magcal_from_model,
-    model_from_accelcal,
-    model_from_imu_tk,
-    model_from_kalibr,
-    model_from_magcal,
 )
 from mavcal.calib.converted import (
     Convention,
@@ -51,6 +47,31 @@ def models(draw, *, symmetric=False, diagonal=False):
 def same(a, b):
     np.testing.assert_allclose(a.offset, b.offset, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(a.matrix, b.matrix, rtol=1e-9, atol=1e-9)
+
+
+def model_from_magcal(form, strength=None):
+    """The model whose corrected vectors are `strength` long; None: `expmfs` long, as with MATLAB."""
+    factor = 1.0 if strength is None else strength / form.expmfs
+    return TriadModel(form.b, np.asarray(factor * form.A.T, dtype=np.float64))
+
+
+def model_from_accelcal(A, b):
+    """The model of ``C = U A + b`` by rows."""
+    matrix = np.asarray(A, dtype=np.float64).T
+    offset = -np.linalg.solve(matrix, np.asarray(b, dtype=np.float64))
+    return TriadModel(np.asarray(offset, dtype=np.float64), matrix)
+
+
+def model_from_imu_tk(T, K, B):
+    """The model of ``T K (m - B)``."""
+    matrix = np.asarray(T, dtype=np.float64) @ np.asarray(K, dtype=np.float64)
+    return TriadModel(np.asarray(B, dtype=np.float64), matrix)
+
+
+def model_from_kalibr(M, C_i, b):
+    """The model of ``m = M C_i truth + b``."""
+    sensitivity = np.asarray(M, dtype=np.float64) @ np.asarray(C_i, dtype=np.float64)
+    return TriadModel(np.asarray(b, dtype=np.float64), np.asarray(np.linalg.inv(sensitivity), dtype=np.float64))
 
 
 def test_the_digits_of_magcal():

@@ -24,8 +24,7 @@ from mavcal.service.errors import (
 from mavcal.service.link import Link, LinkState, parse_endpoint
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_registry import LONGEST_PLAIN, LONGEST_URL, LinkRegistry, link_id_of
-from mavcal.service.reach import DEFAULT
-from mavcal.service.settings import MavlinkSettings
+from mavcal.service.settings import DEFAULT, MavlinkSettings
 from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import LinkRow

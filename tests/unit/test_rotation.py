@@ -8,7 +8,7 @@ from typing import cast
 
 from mavcal.service.errors import StoreError
 from mavcal.service.link import Link
-from mavcal.service.rotation import Rotation
+from mavcal.service.retention import Rotation
 from mavcal.service.settings import RetentionSettings
 
 SIZE = 2**16

@@ -1,4 +1,4 @@
-// Written by scripts/generate-client from calib/mag/sections.py. Do not edit.
+// Written by scripts/generate-client from calib/mag/coverage.py. Do not edit.
 //
 // Middles of the 80 sections of a coverage mask: unit vectors (front, right, down).
 // Section i is bit i % 8 of byte i // 8.

@@ -12,15 +12,13 @@ Instances are a column (``I``, ``Instance``, ``Inst``), in older firmwares a dig
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from mavcal.calib.recording import Rounding, Sensor, Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MGAUSS_UT: Final = 0.1
 INSTANCE_COLUMNS: Final = ("I", "Instance", "Inst")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose.draft import Draft, Subject
+from mavcal.calib.firmware.rotations import rotation_angle
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Sensor
 
@@ -69,7 +70,7 @@ def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array,
         if not np.allclose(stored, parts.diagonal, rtol=0, atol=1e-6):
             what, text = "scale and cross terms", f"scales so near to 1 never reach PX4's memory, and {text}"
         draft.lose(about, what, cost, "m/s2", f"{about}: {text}; {_left(parts, stored, cost)}")
-    angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
+    angle = min(rotation_angle(parts.rotation), rotation_angle(body_from_sensor.T @ parts.rotation))
     if angle > ALIGNED:
         draft.lose(
             about,
@@ -119,13 +120,13 @@ def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Arr
     """
     rotation = losses.split(fit).rotation
     orientation = fit.quality.get("orientation") or {}
-    if losses.rotation_angle(rotation) > ALIGNED:
+    if rotation_angle(rotation) > ALIGNED:
         left = old @ rotation @ new.T
     elif orientation.get("covariance") is not None:
         left = np.array(orientation["matrix"], dtype=np.float64) @ old @ new.T
     else:
         return
-    angle = np.degrees(losses.rotation_angle(left))
+    angle = np.degrees(rotation_angle(left))
     if angle > ROUNDED:
         draft.lose(
             about,

@@ -32,7 +32,6 @@ from mavcal.calib.firmware.compose.mounting import (
 )
 from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
-from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.mag.free_rotation import Euler
@@ -54,7 +53,6 @@ def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
             0,
             Rank.SESSION,
             "learning would overwrite the offsets (ArduPilot's own calibration switches it off too)",
-            kind=ParameterKind.INT8,
         )
     mark_calibrated(draft, Sensor.MAG, {about.instance for about, _ in fitted})
 
@@ -124,7 +122,6 @@ def _set_rotation(
         number,
         Rank.ROTATION,
         f"{about} is mounted {turn.words}; offsets and matrix are for this mounting",
-        kind=ParameterKind.INT8,
         about=about,
     )
     return in_force
@@ -136,13 +133,7 @@ def _set_custom(draft: Draft, about: Subject, number: int, euler: Euler) -> None
     AP_CustomRotations.cpp makes a rotation of its angles when it is first used, and never again before the next boot.
     """
     draft.set_integer(
-        names.ARDUPILOT_CUSTOM_SWITCH,
-        1,
-        Rank.ROTATION,
-        "use rotations by angles",
-        kind=ParameterKind.INT8,
-        about=about,
-        needs_reboot=True,
+        names.ARDUPILOT_CUSTOM_SWITCH, 1, Rank.ROTATION, "use rotations by angles", about=about, needs_reboot=True
     )
     set_angles(draft, about, names.ARDUPILOT_CUSTOM[number], euler, needs_reboot=True, hidden=True)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 
@@ -25,9 +26,11 @@ from mavcal.calib.firmware.plan import (
     sensors_of,
     snapshot_sha256,
 )
-from mavcal.calib.firmware.retained import retained
+from mavcal.calib.firmware.values import retained
 from mavcal.calib.recording import Sensor
 
+INTEGERS: Final[Mapping[str, ParameterKind]] = {"ardupilot": ParameterKind.INT8, "px4": ParameterKind.INT32}
+"""Type of the flags and numbers that are planned, by autopilot."""
 LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -54,7 +57,7 @@ class Rank(IntEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """Which sensor a part of a plan is about."""
+    """The sensor that a part of a plan is about."""
 
     sensor: Sensor
     instance: int
@@ -64,11 +67,20 @@ class Subject:
 
 
 class Draft:
-    """Collects changes, losses, warnings and blockers against one snapshot of the vehicle's parameters."""
+    """Collects changes, losses, warnings and blockers against one snapshot of the vehicle's parameters.
 
-    def __init__(self, parameters: Mapping[str, Value], options: ComposeOptions) -> None:
+    `integers` is the type of flags and numbers, one of :data:`INTEGERS`.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Value],
+        options: ComposeOptions,
+        integers: ParameterKind = INTEGERS["px4"],
+    ) -> None:
         self.parameters = parameters
         self.options = options
+        self._integers = integers
         self._changes: dict[str, tuple[int, int, Change]] = {}
         self._losses: list[Loss] = []
         self._after: list[AfterWrite] = []
@@ -145,13 +157,13 @@ class Draft:
         rank: Rank,
         why: str,
         *,
-        kind: ParameterKind,
+        kind: ParameterKind | None = None,
         about: Subject | None = None,
         needs_reboot: bool = False,
         session: bool = False,
         hidden: bool = False,
     ) -> None:
-        """Plan a flag, a number of a rotation or an id."""
+        """Plan a flag, a number of a rotation or an id; `kind`: another type than the draft's."""
         if not self._known(name, about, hidden=hidden):
             return
         old = self.parameters.get(name)
@@ -163,7 +175,7 @@ class Draft:
             name,
             None if old is None else int(old),
             value,
-            kind,
+            kind or self._integers,
             why,
             sensor=sensor,
             instance=instance,

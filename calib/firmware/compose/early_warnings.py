@@ -35,7 +35,7 @@ _MEASURED: Final = ThermalPolynomial(35.0, 10.0, 60.0, np.full((3, 3), [1e-2, 1e
 
 
 def unknown_sensors(identity: Identity, parameters: Mapping[str, Value], options: ComposeOptions) -> str:
-    """Why the option `only` names sensors that this vehicle lacks; empty: it does not, or no sensor is known."""
+    """Refusal of an option `only` that names sensors this vehicle lacks; empty: it does not, or none is known."""
     known = _ids(identity, parameters)
     return unknown_keys(options.only, known) if known else ""
 

@@ -23,7 +23,7 @@ InForce = Callable[[Mapping[str, Value], Sensor, int], TriadModel]
 
 @dataclass(frozen=True)
 class Pair:
-    """What was fitted of one sensor: its calibration at one temperature, its drift with temperature, or both."""
+    """Fits of one sensor: its calibration at one temperature, its drift with temperature, or both."""
 
     about: Subject
     at_rest: FitResult | None
@@ -90,7 +90,7 @@ def _leave_out(draft: Draft, about: Subject, why: str, *, needless: bool = False
 
 
 def _why_no_drift(fit: FitResult) -> str:
-    """What kept every axis of a thermal fit from being determined."""
+    """Reason why no axis of a thermal fit is determined."""
     if fit.quality.get("below_resolution"):
         return "its drift with temperature is below what the stream resolves, on every axis"
     return f"its drift with temperature is not determined on any axis. {'; '.join(fit.warnings) or fit.message}"

@@ -25,7 +25,7 @@ from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import Role
-from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
 from mavcal.calib.fit import AXES, FitResult
@@ -166,7 +166,7 @@ def _candidate(fit: FitResult, kind: str) -> Mapping[str, Any] | None:
 
 
 def _parameter(draft: Draft, module: object, fit: FitResult, interference: Array) -> Array:
-    """What to add, uT per unit: minus the interference, carried to the calibration that will be in force."""
+    """Compensation to write, uT per unit: minus the interference, carried to the calibration that will be in force."""
     at_sensor = np.linalg.solve(fit.model.matrix, -interference)
     if module is px4:
         return np.asarray(at_sensor)
@@ -209,11 +209,7 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
         )
         return
     draft.set_integer(
-        name,
-        new,
-        Rank.SETTING,
-        "no compass needs compensation" if kind is None else f"compensate against {kind}",
-        kind=ParameterKind.INT8 if module is ardupilot else ParameterKind.INT32,
+        name, new, Rank.SETTING, "no compass needs compensation" if kind is None else f"compensate against {kind}"
     )
 
 

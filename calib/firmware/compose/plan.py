@@ -26,7 +26,7 @@ from mavcal.calib.firmware.compose import ardupilot as compose_ardupilot
 from mavcal.calib.firmware.compose import px4 as compose_px4
 from mavcal.calib.firmware.compose.ardupilot_mag import compose_compasses
 from mavcal.calib.firmware.compose.content import contents
-from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.compose.draft import INTEGERS, Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import InForce, Pair, pair_fits, usable_fits
 from mavcal.calib.firmware.compose.mag_motor import compose_motors
 from mavcal.calib.firmware.compose.px4_mag import compose_magnetometers
@@ -108,7 +108,7 @@ def unwritable(
     *,
     options: ComposeOptions = DEFAULT_OPTIONS,
 ) -> tuple[str, ...]:
-    """Why some of `fits` could not be written, one sentence a reason; arguments as for :func:`compose`."""
+    """Reasons against writing some of `fits`, one sentence each; arguments as for :func:`compose`."""
     composition = _Composition(fits, parameters, fingerprint, options)
     composition.plan()
     return composition.unwritable
@@ -131,7 +131,7 @@ class _Composition:
         self._agreed: dict[Subject, Agreement] = {}
         self._level: Agreement | None = None
         self.unwritable: tuple[str, ...] = ()
-        """Why sensors are left out, wholly or in part, once the plan was made."""
+        """Reasons for sensors that a finished plan leaves out, wholly or in part."""
 
     def plan(self) -> WritePlan:
         while True:
@@ -153,7 +153,8 @@ class _Composition:
 
     def _draft(self) -> tuple[Draft, tuple[Pair, ...]]:
         """Everything that is still to be written, and the sensors in it that could agree."""
-        draft, autopilot = Draft(self._parameters, self._options), self._fingerprint.autopilot
+        autopilot = self._fingerprint.autopilot
+        draft = Draft(self._parameters, self._options, INTEGERS[autopilot])
         usable = contents(usable_fits(draft, self._chosen(draft)))
         pairs = tuple(pair for pair in pair_fits(usable.corrections) if self._named(draft, pair))
         imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]

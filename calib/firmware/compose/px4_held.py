@@ -1,6 +1,6 @@
 """Drift polynomial that PX4 can store: unsaved coefficients are fixed, and the others refitted.
 
-PX4 saves no coefficient within FLT_EPSILON of zero (:mod:`calib.firmware.retained`). Over 30 degC a cubic term of that
+PX4 saves no coefficient within FLT_EPSILON of zero (:mod:`calib.firmware.values`). Over 30 degC a cubic term of that
 size is worth 0.003 in the unit of the sensor, so it is not just left out. It becomes zero, or the smallest number that
 is saved, whichever costs less. The free coefficients are fitted again by least squares to the measured curve, with
 equal weight over the range of temperature. ``p(t_ref) = 0`` stays. What remains is the cost.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose.draft import Subject
-from mavcal.calib.firmware.retained import FLT_EPSILON, LEAST_KEPT
+from mavcal.calib.firmware.values import FLT_EPSILON, LEAST_KEPT
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.triad import ThermalPolynomial
 
@@ -86,7 +86,7 @@ def _kept(coefficients: Array) -> bool:
 
 
 def _nearest(powers: Array, wanted: Array) -> tuple[tuple[bool, ...], Array]:
-    """Which orders stay free, and the coefficients that can be held with the smallest mean square difference."""
+    """Orders that stay free, and the coefficients that can be held with the smallest mean square difference."""
     curve = powers @ wanted
     best: tuple[float, tuple[bool, ...], Array] | None = None
     for pinned in itertools.product((None, 0.0, LEAST_KEPT, -LEAST_KEPT), repeat=len(wanted)):
@@ -104,7 +104,7 @@ def _nearest(powers: Array, wanted: Array) -> tuple[tuple[bool, ...], Array]:
 
 
 def _carry(powers: Array, free: tuple[bool, ...]) -> Array:
-    """How the free coefficients follow the measured ones, shape (k, k): the fixed ones follow nothing."""
+    """Derivative (k, k) of the free coefficients by the measured ones; zero for the fixed ones."""
     chosen = [k for k, value in enumerate(free) if value]
     matrix = np.zeros((len(free), len(free)))
     if chosen:

@@ -27,7 +27,6 @@ from mavcal.calib.firmware.compose.px4 import set_row
 from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, placed, representable, row_of, set_vector
 from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
-from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
 from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
@@ -47,12 +46,7 @@ def compose_magnetometers(draft: Draft, pairs: Sequence[Pair]) -> None:
             _compose_one(draft, pair.about, pair.at_rest)
     if pairs and int(draft.parameters.get("SENS_MAG_AUTOCAL", 0)) != 0:
         draft.set_integer(
-            "SENS_MAG_AUTOCAL",
-            0,
-            Rank.SESSION,
-            "PX4 would write its own estimate of the offsets",
-            kind=ParameterKind.INT32,
-            session=True,
+            "SENS_MAG_AUTOCAL", 0, Rank.SESSION, "PX4 would write its own estimate of the offsets", session=True
         )
 
 
@@ -152,9 +146,7 @@ def _mounting_as_captured(draft: Draft, about: Subject, roles: Mapping[Role, str
             about,
         )
         return False
-    draft.set_integer(
-        name, taken, Rank.ROTATION, f"{about} is mounted as {by_order} says", kind=ParameterKind.INT32, about=about
-    )
+    draft.set_integer(name, taken, Rank.ROTATION, f"{about} is mounted as {by_order} says", about=about)
     return True
 
 
@@ -199,11 +191,4 @@ def _set_rotation(
 
 
 def _set_number(draft: Draft, about: Subject, name: str, number: int, turn: MountingRotation) -> None:
-    draft.set_integer(
-        name,
-        number,
-        Rank.ROTATION,
-        f"{about} is mounted {turn.words}",
-        kind=ParameterKind.INT32,
-        about=about,
-    )
+    draft.set_integer(name, number, Rank.ROTATION, f"{about} is mounted {turn.words}", about=about)

@@ -20,7 +20,7 @@ _MOUNTING: Final = (Role.ROTATION, Role.EXTERNAL, *ROTATION_EULER)
 
 @dataclass(frozen=True)
 class Origin:
-    """Where fits of a recording come from.
+    """Origin of the fits of a recording.
 
     `sensors` are the fitted ones as (sensor, instance, device id), the id 0 where the recording does not say it;
     `mounting` holds the parameters that say how they are mounted. `uid` is None where the recording does not say it.
@@ -66,7 +66,7 @@ def origin_of(recording: Recording, fits: Iterable[FitResult]) -> Origin:
 
 
 def differences(origin: Origin, identity: Identity, parameters: Mapping[str, Value]) -> tuple[str, ...]:
-    """Why fits of that origin may not be written to this vehicle, one sentence each; empty: they may."""
+    """Reasons against writing fits of that origin to this vehicle, one sentence each; empty: none."""
     if identity.autopilot != origin.autopilot:
         return (f"the recording is of {origin.autopilot}, the vehicle runs {identity.autopilot}",)
     found = []
@@ -89,7 +89,7 @@ def differences(origin: Origin, identity: Identity, parameters: Mapping[str, Val
 
 
 def unproved(origin: Origin, identity: Identity) -> str:
-    """Why nothing shows that a recording is of this very vehicle, as a sentence; empty: the boards' ids do."""
+    """Doubt that a recording is of this very vehicle, as a sentence; empty: the boards' ids show it."""
     if not origin.uid:
         reason = "the recording does not say which board it is of (no AUTOPILOT_VERSION in it)"
     elif not identity.uid:

@@ -269,7 +269,7 @@ class Undo:
         return undone if known.all() else undone.take(np.flatnonzero(known))
 
     def _px4_motors(self, channel: Channel, chunk: Recording, piece: Piece) -> Array | None:
-        """What PX4 added to the raw field for its motors, uT (N, 3); None: nothing."""
+        """Motor compensation that PX4 added to the raw field, uT (N, 3); None: nothing."""
         known = {k: self._drive(Sensor.CURRENT, k, channel, chunk) for k in range(PX4_BATTERIES)}
         currents = {k: current for k, current in known.items() if current is not None}
         throttle = self._drive(Sensor.THROTTLE, 0, channel, chunk)
@@ -313,7 +313,7 @@ def _together(changes: Mapping[float, Parameters], entry: ParameterEntry) -> flo
 
 
 def _spans(channel: Channel, pieces: list[Piece], autopilot: str) -> list[tuple[Piece, NDArray[np.intp]]]:
-    """Which rows of `channel` lie in which piece; rows near a change of its correction in none."""
+    """Rows of `channel` by piece; rows near a change of its correction are in none."""
     starts = np.array([piece.start for piece in pieces[1:]])
     allowed = np.ones(len(channel), dtype=bool)
     key = channel.sensor, channel.instance

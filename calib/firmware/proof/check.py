@@ -74,7 +74,7 @@ class Corrections:
         return not self.why_impossible(refused, readings)
 
     def why_impossible(self, refused: Hypothesis, readings: Sequence[StillMean]) -> str:
-        """Why not :meth:`possible`, in words; empty if it is."""
+        """Reason against :meth:`possible`, in words; empty if it is possible."""
         if refused not in self._models:
             model = self.force.possible(self.about, self.every - refused)
             if model is None:
@@ -87,13 +87,13 @@ class Corrections:
         return ""
 
     def raw(self, refused: Hypothesis, readings: Sequence[StillMean]) -> Array:
-        """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
+        """Raw sensor readings (K, 3) if `refused` did not take effect."""
         streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
 
     def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[StillMean]) -> Array:
-        """What the vehicle would stream of `raw` (K, 3) under the conditions of `readings`."""
+        """Stream of `raw` (K, 3) under the conditions of `readings`."""
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
 
@@ -131,7 +131,7 @@ class StreamCheck:
         return self.judgement.alone.get(name, ALL_APPLIED)
 
     def effect(self, name: str) -> float:
-        """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
+        """Largest error of the stream over the readings if `name` alone had not taken effect."""
         readings = (*self.capture.after, *self.capture.invariant)
         raw = self.corrections.raw(ALL_APPLIED, readings)
         with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, self.without(name)))
@@ -303,7 +303,7 @@ def _weight(check: StreamCheck, name: str) -> tuple[int, float]:
 
 
 def outliers(vectors: Array, covariance: Array, candidates: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which rows (n,) to leave out.
+    """Mask of the rows (n,) to leave out.
 
     Parameters
     ----------

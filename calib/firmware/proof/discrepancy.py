@@ -96,7 +96,7 @@ def true_magnitude(sensor: Sensor) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class BeforeAfter:
-    """What one sensor read before (None: not captured) and after the write."""
+    """Readings of one sensor before (None: not captured) and after the write."""
 
     sensor: Sensor
     before: StillMean | None

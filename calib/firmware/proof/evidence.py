@@ -170,7 +170,7 @@ def _conditions(
 
 
 def _staleness(recording: Recording, instance: int, start: float, end: float) -> float:
-    """How far the temperature moves in the half second by which a reading of it is old on average."""
+    """Change of temperature in the half second by which a reading of it is old on average."""
     found = recording.find(Sensor.TEMPERATURE, instance)
     part = found[0].between(start, end) if found else None
     if part is None or len(part) < 2 or end <= start:

@@ -65,7 +65,7 @@ class Force:
         return px4.calibration_in_force(mixed, about.sensor, about.instance, self._memory(about, applied))
 
     def motor(self, about: Subject, applied: Set[str], readings: Sequence[StillMean]) -> Array:
-        """What the firmware adds to a compass for its motors at each reading, uT (K, 3)."""
+        """Motor compensation that the firmware adds to a compass at each reading, uT (K, 3)."""
         nothing = np.zeros((len(readings), 3))
         if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG or not readings:
             return nothing
@@ -104,7 +104,7 @@ class Force:
         return model if np.linalg.cond(model.matrix) < _INVERTIBLE else None
 
     def why_impossible(self, about: Subject, applied: Set[str]) -> str:
-        """Why :meth:`possible` is None, in words; empty if it is not."""
+        """Reason why :meth:`possible` is None, in words; empty if it is not."""
         try:
             model = self.model(about, applied)
         except (FirmwareError, InvalidInputError) as error:

@@ -41,7 +41,7 @@ class StreamJudgement:
 
     verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]
-    """How many standard deviations apart "applied" and "not applied" are, for each change alone; 0 without `alone`."""
+    """Standard deviations between "applied" and "not applied", for each change alone; 0 without `alone`."""
     alone: dict[str, Hypothesis]
     """The smallest hypothesis that refuses a change and that a vehicle can have; no entry: there is none."""
     explained: bool
@@ -109,7 +109,7 @@ def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> froz
 
 
 def _allowed(points: Array, threshold: float) -> NDArray[np.bool_]:
-    """Which hypotheses no other one beats."""
+    """The hypotheses that no other one beats."""
     squares = (points**2).sum(axis=1)
     apart = np.sqrt(np.maximum(squares[:, None] + squares[None, :] - 2.0 * points @ points.T, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -128,7 +128,7 @@ def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis]) -> Proof
 
 
 def _stem(name: str) -> str:
-    """What the components of a vector share: INS_ACCOFFS_X -> INS_ACCOFFS, CAL_ACC0_XOFF -> CAL_ACC0_OFF."""
+    """Common name of the components of a vector: INS_ACCOFFS_X -> INS_ACCOFFS, CAL_ACC0_XOFF -> CAL_ACC0_OFF."""
     head, _, tail = name.rpartition("_")
     if tail in ("X", "Y", "Z", "0", "1", "2"):
         return head

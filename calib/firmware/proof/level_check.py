@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 HALF_S: Final = 1.0
 """s of attitude on either side of a reading at rest."""
 ESTIMATOR_SD: Final = np.radians(0.1)
-"""How an estimator's attitude at rest wanders from one capture to the next."""
+"""Wander of an estimator's attitude at rest from one capture to the next."""
 SAME_POSE: Final = np.radians(0.3)
 """rad within which the vehicle still stands as it stood when its level was measured."""
 LEAST: Final = 4
@@ -99,7 +99,7 @@ def _attitude(
     about: Subject, trimmed: Array, after: Recording, readings: Sequence[StillMean]
 ) -> tuple[SensorCheck, ...]:
     """Whether the attitude agrees with the accelerometer under the trim in force; it can only be open, never wrong."""
-    apart = [_angle(seen, trimmed @ _down(r)) for r in readings for seen in _downs(after, (r,))]
+    apart = [angle_between(seen, trimmed @ _down(r)) for r in readings for seen in _downs(after, (r,))]
     if not apart:
         return ()
     off = min(apart)
@@ -126,7 +126,9 @@ def _same_pose(corrections: Corrections, fit: FitResult, reading: StillMean) -> 
         return False  # a sensor that streams zeros stands nowhere
     raw = corrections.raw(ALL_APPLIED, (reading,))
     old = corrections.stream(corrections.every, raw, (reading,))[0]
-    return bool(_angle(old, force_when_level(float(fit.native["roll"]), float(fit.native["pitch"]))) <= SAME_POSE)
+    return bool(
+        angle_between(old, force_when_level(float(fit.native["roll"]), float(fit.native["pitch"]))) <= SAME_POSE
+    )
 
 
 def _unmoved(
@@ -137,7 +139,7 @@ def _unmoved(
         return ()
     raw = corrections.raw(corrections.every, earlier)[0]
     later = corrections.readable(now.readings.get(about, ()))
-    return tuple(r for r in later if _angle(corrections.raw(ALL_APPLIED, (r,))[0], raw) <= SAME_POSE)
+    return tuple(r for r in later if angle_between(corrections.raw(ALL_APPLIED, (r,))[0], raw) <= SAME_POSE)
 
 
 def _downs(recording: Recording, readings: Sequence[StillMean]) -> list[Array]:
@@ -212,7 +214,7 @@ def _level(about: Subject, downs: Sequence[Array], fit: FitResult) -> SensorChec
             SensorVerdict.NOT_OBSERVABLE,
             text,
         )
-    off = min(_angle(d, np.array([0.0, 0.0, 1.0])) for d in downs)
+    off = min(angle_between(d, np.array([0.0, 0.0, 1.0])) for d in downs)
     limit = LEVEL_WITHIN + 5.0 * sd
     wrong = off > limit
     text = f"the vehicle reads {math.degrees(off):.2f} deg off level where its level was measured"
@@ -221,5 +223,6 @@ def _level(about: Subject, downs: Sequence[Array], fit: FitResult) -> SensorChec
     return SensorCheck(SensorCheckId.LEVEL, about.sensor, about.instance, off, limit, "rad", sd, verdict, text)
 
 
-def _angle(a: Array, b: Array) -> float:
+def angle_between(a: Array, b: Array) -> float:
+    """Angle between two directions (3,), rad."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

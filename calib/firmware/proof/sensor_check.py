@@ -61,7 +61,7 @@ SAME_POSE: Final = 0.966
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How far one reading is off, how far it may be, and its standard deviation."""
+    """Error of one reading, its limit, and its standard deviation."""
 
     reading: StillMean
     value: float
@@ -115,7 +115,7 @@ class PlannedSensor:
 
     @property
     def about(self) -> Subject:
-        """Which sensor it is."""
+        """The sensor."""
         return self.corrections.about
 
 
@@ -185,7 +185,7 @@ def _as_fitted(fit: FitResult, raw: Array) -> bool:
 
 
 def _bounds(given: PlannedSensor, reading: StillMean) -> float:
-    """What the temperature and the firmware's limits may leave, in the unit of the stream."""
+    """Error that temperature and the firmware's limits may leave, in the unit of the stream."""
     about, pair = given.about, given.pair
     left = math.fsum(
         loss.cost

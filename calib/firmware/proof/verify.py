@@ -297,7 +297,7 @@ def _worth_turning(check: StreamCheck, names: Sequence[str]) -> bool:
 
 
 def _reading(check: StreamCheck, direction: Array) -> StillMean:
-    """What would be streamed of a true vector along `direction` in the body, as precisely as now."""
+    """Stream of a true vector along `direction` in the body, as precise as now."""
     capture = check.capture
     now = (*capture.after, *capture.invariant)[0]
     model = check.corrections.model(ALL_APPLIED)

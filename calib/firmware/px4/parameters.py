@@ -113,11 +113,11 @@ class Px4Calibration:
 
     @classmethod
     def load(cls, parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Px4Calibration:
-        """What is in memory after a boot with `parameters`."""
+        """PX4's memory after a boot with `parameters`."""
         return cls(sensor, instance).update(parameters)
 
     def update(self, parameters: Mapping[str, Value]) -> Px4Calibration:
-        """What is in memory after the firmware has looked at `parameters` again.
+        """PX4's memory after the firmware has looked at `parameters` again.
 
         Raises
         ------

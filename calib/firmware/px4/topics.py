@@ -410,7 +410,7 @@ def _vibration(topics: Topics, rows: Rows) -> Iterator[Channel]:
 
 
 def _clipping(topics: Topics, rows: Rows) -> list[Event]:
-    """How often each accelerometer reached the end of its range; the counters run since boot."""
+    """Clipping count of each accelerometer; the counters run since boot."""
     events = []
     for multi_id, topic in instances_of(topics, "vehicle_imu_status"):
         if not has(topic, "accel_clipping[0]", "accel_clipping[1]", "accel_clipping[2]"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.firmware.unit_id import unit_id
+from mavcal.calib.firmware.device_ids import unit_id
 from mavcal.calib.recording import Event, Identity
 from mavcal.calib.wire import CHUNK_BYTES, decode, joined_text, text_bytes
 
@@ -42,7 +42,7 @@ class Announcements:
 
     @property
     def message_ids(self) -> frozenset[int]:
-        """What it listens to."""
+        """Ids of the messages that it listens to."""
         return frozenset(self._handlers)
 
     def feed(self, t: float, frame: Frame) -> list[Event]:

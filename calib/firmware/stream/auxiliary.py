@@ -1,4 +1,4 @@
-"""Messages beside the inertial ones: attitude, position, battery current, throttle."""
+"""Messages beside the inertial ones: attitude, position, current, throttle; and whether channels are messages."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from mavcal.calib.recording import Recording
+
 
 Array = NDArray[np.float64]
 Values = tuple[NDArray[np.bool_], Array]
@@ -91,3 +95,15 @@ class Auxiliary:
             return []
         name = str(dialect.mavlink_map[message_id].msgname)
         return [Channel(sensor, 0, t[keep], values[keep], unit, Stage.RAW, name)]
+
+
+STREAMED: Final = frozenset(
+    str(dialect.mavlink_map[number].msgname)
+    for number in {*(n for messages in INERTIAL.values() for n in messages), *Auxiliary.message_ids}
+)
+"""Sources of the channels that messages of MAVLink bring. No logger on board calls its own so."""
+
+
+def telemetry(recording: Recording) -> bool:
+    """Whether the samples came over a link: what they are and how often is set by stream rates, not by a logger."""
+    return any(channel.source in STREAMED for channel in recording.channels)

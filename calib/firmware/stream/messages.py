@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.recording import Rounding, Sensor, Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 RAW_IMU: Final[int] = dialect.MAVLINK_MSG_ID_RAW_IMU
 SCALED_IMU: Final[int] = dialect.MAVLINK_MSG_ID_SCALED_IMU

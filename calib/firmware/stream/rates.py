@@ -6,7 +6,8 @@ loop); at 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Collection
+from typing import Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -15,9 +16,6 @@ from mavcal.calib.firmware.stream import auxiliary
 from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3
 from mavcal.calib.recording import Sensor
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 __all__ = ["Assembler", "live_streams", "requested_streams"]
 

@@ -104,7 +104,7 @@ class Clock:
         ]
 
     def times(self, table: Table) -> Array:
-        """When the messages of `table` were written, s; nan where the stamp cannot be believed."""
+        """Times at which the messages of `table` were written, s; nan where the stamp cannot be believed."""
         if _stamp(table) is None or self._span is None:
             return self._by_place(table)
         t = self._over_restarts(_stamps(table), table)
@@ -128,7 +128,7 @@ class Clock:
         return [float(time) for time in t]
 
     def sample_times(self, table: Table) -> Array:
-        """When the sensor was read, s; where no column says it, when the message was written."""
+        """Times at which the sensor was read, s; where no column says it, when the message was written."""
         t = self.times(table)
         column = next((name for name in SAMPLE_TIME_COLUMNS if table.format.letter(name) in WHOLE), None)
         if column is None or table.format.letter("TimeUS") not in WHOLE:

@@ -118,7 +118,7 @@ def _clipping(t: Any, counter: Any, instance: int) -> list[Event]:
 
 
 def _increase(t: Any, counter: Any) -> tuple[int, float, float]:
-    """How far a counter rose, and when it first and last did."""
+    """Increase of a counter, and the times of its first and last rise."""
     steps = np.diff(counter.astype(np.int64), prepend=counter[:1].astype(np.int64))
     rose = np.flatnonzero(steps > 0)
     if not len(rose):

@@ -6,13 +6,11 @@ A definition names a message type, its length, its columns and one letter a colu
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MAGIC: Final = (0xA3, 0x95)
 HEADER: Final = 3
@@ -81,7 +79,7 @@ class Format:
         return self.letters[self.columns.index(column)] if column in self.columns else ""
 
     def divisor(self, column: str) -> float | None:
-        """What the stored integer is divided by; None: it is the value itself."""
+        """Divisor of the stored integer; None: it is the value itself."""
         return _CODES[self.letter(column)][1]
 
     def is_text(self, column: str) -> bool:

@@ -7,17 +7,15 @@ by one: damage, and payloads that look like a header.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.logs.dataflash.formats import FMT, FMT_LENGTH, FMT_TYPE, HEADER, MAGIC, Format, read_fmt
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]

@@ -276,7 +276,7 @@ def _plain(log: Log, clock: Clock) -> Iterator[Channel]:
 
 
 def _first(table: Table) -> NDArray[np.bool_]:
-    """Which rows are of the first instance."""
+    """Mask of the rows of the first instance."""
     column = next((c for c in INSTANCE_COLUMNS if c in table), None)
     return np.ones(len(table), dtype=bool) if column is None else np.asarray(table[column] == table[column].min())
 

@@ -40,7 +40,7 @@ class Table(ABC):
 
     @property
     def name(self) -> str:
-        """What the log calls it."""
+        """Name of the message in the log."""
         return self.format.name
 
     @property
@@ -80,7 +80,7 @@ class Table(ABC):
     @property
     @abstractmethod
     def offsets(self) -> NDArray[np.int64]:
-        """Where the messages lie in the file: byte or line, ascending."""
+        """Positions of the messages in the file: byte or line, ascending."""
 
     @abstractmethod
     def _columns(self, names: tuple[str, ...]) -> list[Column]: ...
@@ -112,7 +112,7 @@ class BinaryTable(Table):
 
     @property
     def offsets(self) -> NDArray[np.int64]:
-        """Where the messages lie in the file, bytes, ascending."""
+        """Positions of the messages in the file, bytes, ascending."""
         found, done = np.empty(len(self), dtype=np.int64), 0
         for base, part in self._parts:
             np.add(part, base, out=found[done : done + len(part)], dtype=np.int64)

@@ -50,7 +50,7 @@ class Place:
     altitude: float
 
     def offset(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """How far north and east of here a place is, m."""
+        """Distance of a place to the north and to the east of here, m."""
         north = (latitude - self.latitude) * METRES_PER_DEGREE
         east = _wrapped(longitude - self.longitude) * METRES_PER_DEGREE * self._shrunk(latitude)
         return north, east
@@ -69,7 +69,7 @@ def _wrapped(degrees: float) -> float:
 
 
 def home_of(mission: LoggedMission) -> Place:
-    """Where the mission's heights and places count from."""
+    """Origin of the mission's heights and places."""
     return Place(mission.home.latitude, mission.home.longitude, mission.home.altitude)
 
 

@@ -9,9 +9,8 @@ from typing_extensions import TypeAliasType
 
 from mavcal.service.api.models.base import Stamp
 from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, WriteModel
-from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
-from mavcal.service.api.models.vehicles import VehicleModel
+from mavcal.service.api.models.vehicles import LinkModel, VehicleModel
 from mavcal.service.campaigns.items import ItemOutcome
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.states import JobState

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field, model_validator
 
-from mavcal.calib.fleet.observation import ObservationSource
+from mavcal.calib.fleet.record import ObservationSource
 from mavcal.calib.fleet.standing import FailedCheck, Reason
 from mavcal.calib.fleet.trend import Leaving, Open, Slope
 from mavcal.calib.preflight.check import Verdict

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 from typing_extensions import TypeAliasType
 
-from mavcal.calib.preflight.readiness import Readiness
+from mavcal.calib.preflight.check import Readiness
 from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel

@@ -105,12 +105,12 @@ class LiveDigest:
 
     @property
     def outcome(self) -> Done | GaveUp | None:
-        """How the procedure ended; None: it goes on."""
+        """End of the procedure; None: it goes on."""
         return None if self._procedure is None else self._procedure.outcome
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the procedure found worth a warning."""
+        """Warnings of the procedure."""
         return () if self._procedure is None else tuple(self._procedure.warnings)
 
     def feed(self, frames: Sequence[Frame]) -> tuple[Step, ...]:

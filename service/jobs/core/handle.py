@@ -163,7 +163,7 @@ class JobHandle:
             self._emit(kind, data)
 
     def write_record(self) -> WriteRecord:
-        """What the journal says, unsaved steps included."""
+        """Record of the write by the journal, unsaved steps included."""
         owed = tuple(self._owed_steps)  # first: what is saved meanwhile is then in both, and never in neither
         rows = self.store.journal(self.id)
         kept = {(row.at, row.step, row.data.get("name")) for row in rows}

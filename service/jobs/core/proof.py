@@ -43,7 +43,7 @@ class Proof:
 
 
 def proof_of(verification: Verification | None) -> Proof:
-    """What the physical check has proved; None: there was none."""
+    """Proof by the physical check; None: there was none."""
     if verification is None:
         return Proof(ProofLevel.NONE, "No stream was checked after the write.")
     acting = [p for p in verification.parameters if p.acts_on_stream]

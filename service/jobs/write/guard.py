@@ -52,7 +52,7 @@ class WriteGuard:
         """The address on each link, as it was when that came into use."""
 
     def reason(self) -> str | None:
-        """Why nothing may be written now; None: it may."""
+        """Reason that forbids a write now; None: a write may begin."""
         now = self._vehicle.condition()
         # The cause comes before its consequences: a vehicle that restarted is silent for a while, calibrates, is not
         # known to be on the ground, and may speak from another port.

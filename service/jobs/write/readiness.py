@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.preflight.readiness import Readiness, readiness, unchecked
+from mavcal.calib.preflight.check import Readiness, readiness, unchecked
 from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import ServiceError, VehicleUnknown
 from mavcal.service.jobs.core.admission import require_ready, require_vehicle
@@ -39,6 +39,6 @@ async def keep_readiness(handle: JobHandle, vehicles: VehicleSource, preflights:
 
 
 def readiness_of(job: Job) -> Readiness | None:
-    """What the vehicle said after the job's write; None: it was not looked at, or the write was taken back."""
+    """Readiness after the job's write; None: the vehicle was not asked, or the write was taken back."""
     kept = job.context.get(READINESS)
     return None if kept is None or job.state != JobState.SUCCEEDED else from_json(kept, Readiness)

@@ -4,7 +4,7 @@ Its airframe has the equations and the key names of ArduPilot's SITL (``SIM_Fram
 firmware the mixer, filters and log messages of ArduCopter, as far as a diagnosis of the airframe asks for them. It is
 no firmware: modes, estimator and controller are the least that flies in GUIDED, and a mission in AUTO.
 
-Order of the modules: `frame`, `parameters` (what is read from files) -> `air`, `airframe` (physics) -> `sensors`,
-`estimator`, `mixer`, `control`, `items`, `modes`, `vertical`, `auto`, `checks` (firmware) -> `vehicle` -> `dataflash`,
-`flightlog` (what is logged) -> `missionlink`, `ground` (MAVLink) -> `run`.
+Order of the modules: `frame`, `parameters` (what is read from files) -> `air`, `airframe` (physics) -> `estimator`,
+`control`, `items`, `modes`, `auto` (firmware) -> `vehicle` -> `flightlog` (what is logged) -> `ground` (MAVLink) ->
+`run`.
 """

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 from mavcal.service.simvehicle.flight.frame import Vector
 from mavcal.service.simvehicle.flight.items import AT_ONCE, LANDINGS, Command, Item, MissionState
+from mavcal.service.simvehicle.flight.modes import CLOSE_ENOUGH, landing_climb, takeoff_climb
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
-from mavcal.service.simvehicle.flight.vertical import CLOSE_ENOUGH, landing_climb, takeoff_climb
 
 _BRAKING = 1.0
 """m/s2 of slowing down towards a place. Chosen: below WPNAV_ACCEL, so that it does not overshoot."""

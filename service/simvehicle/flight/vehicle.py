@@ -8,15 +8,20 @@ from collections.abc import Callable, Sequence
 from mavcal.service.simvehicle.flight import air
 from mavcal.service.simvehicle.flight.airframe import Airframe
 from mavcal.service.simvehicle.flight.auto import AutoFlight
-from mavcal.service.simvehicle.flight.control import Controller
-from mavcal.service.simvehicle.flight.estimator import Estimate, degrees_from_metres
+from mavcal.service.simvehicle.flight.control import Controller, Mixer
+from mavcal.service.simvehicle.flight.estimator import Estimate, InertialUnit, degrees_from_metres
 from mavcal.service.simvehicle.flight.frame import Frame, Vector, rotors_of
 from mavcal.service.simvehicle.flight.items import AT_ONCE, Command, Item
-from mavcal.service.simvehicle.flight.mixer import Mixer
-from mavcal.service.simvehicle.flight.modes import LOOP_HZ, Guidance, Log, Mode
+from mavcal.service.simvehicle.flight.modes import (
+    CLOSE_ENOUGH,
+    LOOP_HZ,
+    Guidance,
+    Log,
+    Mode,
+    landing_climb,
+    takeoff_climb,
+)
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
-from mavcal.service.simvehicle.flight.sensors import InertialUnit
-from mavcal.service.simvehicle.flight.vertical import CLOSE_ENOUGH, landing_climb, takeoff_climb
 
 SUBSTEPS = 2
 """Physics and sensors at 800 Hz: the fastest thing that is simulated, a filter of 20 Hz, is 40 times slower."""
@@ -309,7 +314,7 @@ class FlyingVehicle:
 
 
 def arming_fault(parameters: FlightParameters, time: float) -> str:
-    """Why it does not arm `time` seconds after boot, in the firmware's words; empty: it does."""
+    """Reason not to arm `time` seconds after boot, in the firmware's words; empty: it arms."""
     if parameters["ARMING_CHECK"] == 0:
         return ""
     if not parameters["SIM_GPS1_ENABLE"]:
@@ -318,7 +323,7 @@ def arming_fault(parameters: FlightParameters, time: float) -> str:
 
 
 def mission_fault(items: Sequence[Item], *, flying: bool) -> str:
-    """Why AUTO does not fly these items, the first of which is home."""
+    """Reason for which AUTO does not fly these items, the first of which is home; empty: it does."""
     if len(items) < 2:
         return "No mission"
     moving = [item.command for item in items[1:] if item.command not in AT_ONCE]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from starlette.requests import Request
 
-from mavcal.service.api.audit import LONGEST, note
+from mavcal.service.api.security import LONGEST, note
 from mavcal.service.errors import StoreError
 from mavcal.service.store import SqliteStore
 

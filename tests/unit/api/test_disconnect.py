@@ -6,7 +6,7 @@ import pytest
 from fastapi import HTTPException
 from starlette.requests import Request
 
-from mavcal.service.api.disconnect import Body, while_connected
+from mavcal.service.api.recordings import Body, while_connected
 
 
 class Client:

@@ -7,9 +7,9 @@ from contextlib import aclosing
 
 import pytest
 
-from mavcal.service.api import follow
-from mavcal.service.api.follow import ChangeWatch, State
-from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api import jobs
+from mavcal.service.api.jobs import ChangeWatch, State
+from mavcal.service.api.models.vehicles import LinkModel
 
 STREAMS = 40
 
@@ -19,7 +19,7 @@ def link(state: str) -> LinkModel:
 
 
 async def test_one_look_serves_every_stream_and_the_last_one_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(follow, "LOOK_S", 0.001)
+    monkeypatch.setattr(jobs, "LOOK_S", 0.001)
     looks, heard = 0, 0
     changed = asyncio.Event()
 
@@ -56,7 +56,7 @@ async def test_one_look_serves_every_stream_and_the_last_one_ends_it(monkeypatch
 
 
 async def test_a_state_that_cannot_be_told_once_does_not_end_the_streams(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(follow, "LOOK_S", 0.001)
+    monkeypatch.setattr(jobs, "LOOK_S", 0.001)
     looks = 0
 
     def look() -> list[tuple[str, State]]:

@@ -5,8 +5,7 @@ from starlette.datastructures import Headers
 
 from mavcal.service.api.security import FAILURE_EVERY_S, FAILURES_AT_ONCE, MOST_PEERS, RequestGuard, Throttle, digest
 from mavcal.service.errors import AuthError, Forbidden
-from mavcal.service.exposure import check_exposure
-from mavcal.service.settings import ApiKey, Settings
+from mavcal.service.settings import ApiKey, Settings, check_exposure
 from tests.clock import ManualClock
 
 KEY = ApiKey(name="ground", sha256=digest("secret"), scopes=frozenset({"read"}))

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from mavcal.service.api.models.links import LinkModel
+from mavcal.service.api.models.vehicles import LinkModel
 from mavcal.service.api.sight import FILTERED, Sight
 from mavcal.service.app import create_app
 from mavcal.service.core import Service

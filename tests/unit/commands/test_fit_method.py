@@ -175,7 +175,7 @@ def test_a_file_that_cannot_be_written_is_said_after_the_fit(ran, tmp_path):
     with pytest.raises(click.BadParameter, match="is a directory"):
         method("a.csv", "--export", str(out))
     with pytest.raises(click.ClickException, match="cannot be written: Is a directory"):
-        fit_method._write(out, "x")
+        fit_method.write_file(out, "x")
 
 
 @pytest.mark.parametrize(

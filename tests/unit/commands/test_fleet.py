@@ -10,9 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from mavcal.client import ApiProblem, Client, Unreachable
-from mavcal.service.commands import fleet, fleet_source
-from mavcal.service.commands.fleet import command, show
-from mavcal.service.commands.fleet_source import FleetQuery, LocalFleet, RemoteFleet, opened
+from mavcal.service.commands import fleet
+from mavcal.service.commands.fleet import FleetQuery, LocalFleet, RemoteFleet, command, opened, show
 from mavcal.service.commands.output import AnsweredNo
 from mavcal.service.errors import DataDirLocked, UnitUnknown
 from mavcal.service.settings import Settings
@@ -221,7 +220,7 @@ class FleetClient:
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5])
 def test_a_service_is_asked_page_by_page(monkeypatch, count):
-    monkeypatch.setattr(fleet_source, "PAGE", 2)
+    monkeypatch.setattr(fleet, "PAGE", 2)
     client = FleetClient(count)
     assert [one["unit"] for one in RemoteFleet(client).units(FleetQuery())] == client.names
     assert len(client.asked) == count // 2 + 1

@@ -16,9 +16,9 @@ from mavcal.service.commands.gap_files import (
     check_folders,
     read_files,
     read_frame,
-    write,
     write_exports,
 )
+from mavcal.service.commands.output import write_file
 from tests.unit.gap.export.making import airframe, effect, report
 
 READING = {"mapping": {}, "sim_mapping": {}, "unit_accel": "g", "rate": None}
@@ -168,7 +168,7 @@ def test_a_file_that_cannot_be_made_is_told_and_the_others_are_written(table, tm
 
 def test_a_file_that_cannot_be_written_ends_the_command(tmp_path):
     with pytest.raises(click.ClickException, match="cannot be written: No such file"):
-        write(tmp_path / "none" / "a.parm", "x")
+        write_file(tmp_path / "none" / "a.parm", "x")
 
 
 def test_a_page_has_its_title(tmp_path, monkeypatch):

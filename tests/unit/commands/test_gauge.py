@@ -3,7 +3,7 @@ from __future__ import annotations
 import io
 
 from mavcal.calib.gap import GapProgress, GapStage
-from mavcal.service.commands.gauge import Gauge, Line, sentence
+from mavcal.service.commands.gap_options import Gauge, Line, sentence
 
 HALF = GapProgress(GapStage.SELECTION, 0.5, 20.4)
 

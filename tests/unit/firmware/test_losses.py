@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib.firmware.losses import largest_error, largest_sd, rotation_angle, split
-from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.losses import largest_error, largest_sd, split
+from mavcal.calib.firmware.rotations import euler_matrix, rotation_angle
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 

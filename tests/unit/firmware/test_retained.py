@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.names import PX4_SLOTS, px4_names, px4_thermal_names
-from mavcal.calib.firmware.retained import FLT_EPSILON, LEAST_KEPT, asks_for_save, px4_default, retained
+from mavcal.calib.firmware.values import FLT_EPSILON, LEAST_KEPT, asks_for_save, px4_default, retained
 from mavcal.calib.recording import Sensor
 
 INTEGERS = {"id", "rotation", "priority", "thermal_id", "thermal_enable", "motor_type"}

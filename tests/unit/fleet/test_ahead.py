@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.fleet.observation import ObservationSource
-from mavcal.calib.fleet.record import SensorRecord
+from mavcal.calib.fleet.record import ObservationSource, SensorRecord
 from mavcal.calib.recording import Sensor
 from mavcal.service.fleet import view
 from mavcal.service.fleet.ahead import TrendsAhead

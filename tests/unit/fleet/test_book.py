@@ -11,7 +11,7 @@ import pytest
 
 from mavcal.calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.fleet.observation import ObservationSource
+from mavcal.calib.fleet.record import ObservationSource
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
 from mavcal.calib.preflight.readings import RestReading
 from mavcal.calib.recording import Identity, Sensor

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder
-from mavcal.calib.fleet.observation import ObservationSource
-from mavcal.calib.fleet.record import SensorRecord, bias_of
+from mavcal.calib.fleet.record import ObservationSource, SensorRecord, bias_of
 from mavcal.calib.fleet.standing import (
     LEAST,
     FailedCheck,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib.fleet.observation import BIAS_LIMITS, BiasObservation
+from mavcal.calib.fleet.record import BIAS_LIMITS, BiasObservation
 from mavcal.calib.fleet.trend import DAY_S, HORIZON_D, LEAST_SPREAD_DEGC, MOST, Quantity, Trend, bias_trend
 from mavcal.calib.preflight import limits
 from mavcal.calib.recording import Sensor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mavcal.calib.health.parameters import in_use, never_calibrated
+from mavcal.calib.health.channels import in_use, never_calibrated
 from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mavcal.calib.health.finding import HealthVerdict
-from mavcal.calib.health.rectified import rectified
 from mavcal.calib.health.report import health
+from mavcal.calib.health.vibration import rectified
 from mavcal.calib.recording import Sensor
 from tests.unit.health.made import flight
 

@@ -11,8 +11,7 @@ from pydantic import ValidationError
 from mavcal.service.errors import EndpointRefused
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link.endpoint import parse_endpoint
-from mavcal.service.reach import DEFAULT
-from mavcal.service.settings import LinkSettings
+from mavcal.service.settings import DEFAULT, LinkSettings
 
 
 def opened(text: str, entries: tuple[str, ...] = DEFAULT, *folders: Path) -> str:

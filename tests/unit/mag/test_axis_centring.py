@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis, normal_equations, offset_and_radii, solve_coefficients
+from mavcal.calib.mag.simple_fits import fit_ellipsoid_axis, normal_equations, offset_and_radii, solve_coefficients
 
 CENTRE = np.array([10.0, -20.0, 30.0])
 RADII = np.array([60.0, 50.0, 40.0])

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.mag.coverage import Coverage, ring
+from mavcal.calib.mag.coverage import CENTRES, Coverage, mask_bytes, ring, sections, visited
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
-from mavcal.calib.mag.sections import CENTRES, mask_bytes, sections, visited
 
 
 def test_eighty_sections_of_nearly_one_size() -> None:

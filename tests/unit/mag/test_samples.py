@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.coverage import CENTRES, N_SECTIONS, mask_bytes, sections, visited
 from mavcal.calib.mag.samples import (
     CHUNK,
     Cloud,
@@ -21,7 +22,6 @@ from mavcal.calib.mag.samples import (
     real_array,
     still_stretches,
 )
-from mavcal.calib.mag.sections import CENTRES, N_SECTIONS, mask_bytes, sections, visited
 from tests.examples import examples
 from tests.unit.mag.turned import deviations
 

@@ -10,9 +10,16 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis, normal_equations, offset_and_radii, solve_coefficients
-from mavcal.calib.mag.minmax import fit_minmax, half_range
-from mavcal.calib.mag.sphere import fit_sphere, solve_sphere
+from mavcal.calib.mag.simple_fits import (
+    fit_ellipsoid_axis,
+    fit_minmax,
+    fit_sphere,
+    half_range,
+    normal_equations,
+    offset_and_radii,
+    solve_coefficients,
+    solve_sphere,
+)
 
 CENTRE = np.array([10.0, -20.0, 30.0])
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]]])

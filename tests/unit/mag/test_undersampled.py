@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs.tables import NO_TIME
-from mavcal.calib.mag.undersampled import TurningField
+from mavcal.calib.mag.ellipsoid_result import TurningField
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 

@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods import METHODS
-from mavcal.calib.methods.thermal_tables import outside_of
+from mavcal.calib.methods.thermal import outside_of
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 
 SLOPE = np.array([0.004, -0.021, 0.024])  # m/s2 per degC

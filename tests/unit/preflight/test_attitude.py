@@ -11,8 +11,8 @@ import pytest
 
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.logs.tlog import read_tlog
-from mavcal.calib.preflight.attitude import attitude
 from mavcal.calib.preflight.check import Check, CheckId, Verdict
+from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.rest import Mean, mean_at_rest
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Recording, Sensor

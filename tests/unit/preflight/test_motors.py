@@ -8,7 +8,7 @@ import pytest
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Verdict
-from mavcal.calib.preflight.motors import motor_compensation
+from mavcal.calib.preflight.compass import motor_compensation
 from mavcal.calib.preflight.snapshot import Snapshot
 from tests.unit.preflight.vehicle import healthy
 

@@ -12,9 +12,8 @@ from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.names import OFFSET, ardupilot_imu_names
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import ParameterKind, WritePlan
-from mavcal.calib.preflight.check import CheckId, Verdict
+from mavcal.calib.preflight.check import CheckId, Verdict, readiness, unchecked
 from mavcal.calib.preflight.history import parameters_changed
-from mavcal.calib.preflight.readiness import readiness, unchecked
 from mavcal.calib.preflight.restore import compose_restore
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Sensor

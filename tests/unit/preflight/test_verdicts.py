@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.preflight import self_report
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Report, Verdict, judged, unknown
-from mavcal.calib.preflight.readiness import readiness, unchecked
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Report, Verdict, judged, readiness, unchecked, unknown
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states, summary
 from mavcal.calib.recording import Sensor

@@ -13,12 +13,10 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.holds import LONGEST, SHORTEST, Hold, pose_of_hold
 from mavcal.calib.procedures.level import roll_pitch
 from mavcal.calib.procedures.motion import RESTING, StillWatch
-from mavcal.calib.procedures.placing import down_direction, facing, place
-from mavcal.calib.procedures.poses import DOWN, FACES
+from mavcal.calib.procedures.poses import DOWN, FACES, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, PromptStep
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals, share_of_information
@@ -285,21 +283,21 @@ def context(parameters, identity=ARDUPILOT):
 def test_what_parameters_say_is_in_force_is_believed_and_silence_is_none():
     told = PARAMETERS | {"AHRS_ORIENTATION": 2, "INS_TCAL1_ENABLE": 0}  # yaw 90
     known = context(told)
-    assert body_from_sensor(known, Sensor.ACCEL, 0) @ X == pytest.approx(Y)
-    assert np.linalg.norm(in_force(known, Sensor.ACCEL, 0).apply(np.full(3, 0.5))) == pytest.approx(0.0, abs=1e-9)
-    assert in_force(known, Sensor.ACCEL, 0).apply(0.5 + X) == pytest.approx(1.1 * Y)
+    assert known.body_from_sensor(Sensor.ACCEL, 0) @ X == pytest.approx(Y)
+    assert np.linalg.norm(known.in_force(Sensor.ACCEL, 0).apply(np.full(3, 0.5))) == pytest.approx(0.0, abs=1e-9)
+    assert known.in_force(Sensor.ACCEL, 0).apply(0.5 + X) == pytest.approx(1.1 * Y)
 
 
 @pytest.mark.parametrize("unknown", [context({}), context({"X": 1.0}, Identity(autopilot="other"))])
 def test_without_parameters_or_of_an_unknown_autopilot_nothing_is_in_force(unknown):
-    assert body_from_sensor(unknown, Sensor.ACCEL, 0).tolist() == np.eye(3).tolist()
-    assert in_force(unknown, Sensor.ACCEL, 0).apply(X) == pytest.approx(X)
+    assert unknown.body_from_sensor(Sensor.ACCEL, 0).tolist() == np.eye(3).tolist()
+    assert unknown.in_force(Sensor.ACCEL, 0).apply(X) == pytest.approx(X)
 
 
 def test_parameters_that_do_not_say_are_told_from_none_at_all():
     broken = context({"AHRS_ORIENTATION": 999, **PARAMETERS})
-    assert in_force(broken, Sensor.ACCEL, 0) is None
-    assert body_from_sensor(broken, Sensor.ACCEL, 0).tolist() == np.eye(3).tolist()
+    assert broken.in_force(Sensor.ACCEL, 0) is None
+    assert broken.body_from_sensor(Sensor.ACCEL, 0).tolist() == np.eye(3).tolist()
 
 
 @pytest.mark.parametrize("kind", sorted(PROCEDURES))

@@ -14,7 +14,7 @@ from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.firmware.px4 import parameters as px4
-from mavcal.calib.firmware.retained import retained
+from mavcal.calib.firmware.values import retained
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.procedures.warming import Warmth
+from mavcal.calib.procedures.thermal import Warmth
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 MINUTE = 60.0

@@ -11,8 +11,8 @@ import pytest
 from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.flight.air import Battery, Noise, Wind, density
 from mavcal.service.simvehicle.flight.airframe import Airframe
+from mavcal.service.simvehicle.flight.control import Mixer
 from mavcal.service.simvehicle.flight.frame import GRAVITY, PLUS, X, frame_of, load_frame, rotors_of
-from mavcal.service.simvehicle.flight.mixer import Mixer
 from mavcal.service.simvehicle.flight.parameters import FlightParameters, load_parameters
 from tests.unit.simvehicle.flights import Flight
 

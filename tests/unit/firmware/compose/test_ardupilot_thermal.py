@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.compose.ardupilot_thermal import ardupilot_coefficients, recentre
+from mavcal.calib.firmware.compose.ardupilot import ardupilot_coefficients, recentre
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.compose.ardupilot_thermal import ardupilot_coefficients
+from mavcal.calib.firmware.compose.ardupilot import ardupilot_coefficients
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.fit import parameter_names
 from mavcal.calib.recording import Sensor

@@ -17,13 +17,13 @@ from mavcal.calib.firmware.compose.fitted import (
     pair_fits,
     usable_fits,
 )
-from mavcal.calib.firmware.losses import rotation_angle, split
+from mavcal.calib.firmware.losses import split
 from mavcal.calib.firmware.names import ardupilot_imu_names
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import Change, ParameterKind
 from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.force import force_of
-from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.rotations import euler_matrix, rotation_angle
 from mavcal.calib.fit import AXES, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial

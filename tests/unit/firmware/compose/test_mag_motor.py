@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.compose.draft import Draft
+from mavcal.calib.firmware.compose.draft import INTEGERS, Draft
 from mavcal.calib.firmware.compose.mag_motor import compose_motors, corrupt_compensation
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.px4 import parameters as px4
@@ -66,7 +66,7 @@ def motor_fit(instance=0, drive="current", proposed=True, model=None, current_rm
 
 
 def composed(fits, parameters, autopilot="ardupilot"):
-    draft = Draft(parameters, ComposeOptions())
+    draft = Draft(parameters, ComposeOptions(), INTEGERS[autopilot])
     compose_motors(draft, autopilot, fits)
     return draft
 

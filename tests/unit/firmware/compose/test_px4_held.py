@@ -11,7 +11,7 @@ from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.compose.px4_held import held_drift
 from mavcal.calib.firmware.px4 import parameters as px4
-from mavcal.calib.firmware.retained import FLT_EPSILON, retained
+from mavcal.calib.firmware.values import FLT_EPSILON, retained
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial
 

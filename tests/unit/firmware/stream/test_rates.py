@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware.stream.clock import WRAP_S, VehicleClock
+from mavcal.calib.firmware.stream.assembler import WRAP_S, VehicleClock
 from mavcal.calib.firmware.stream.rates import Assembler, live_streams, requested_streams
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
 from mavcal.calib.wire import Frame, FrameParser, RawMessage, encode
