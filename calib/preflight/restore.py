@@ -135,7 +135,7 @@ class _Restoration:
     ) -> None:
         self._wanted, self._parameters, self._kinds = wanted, parameters, kinds
         self._fingerprint, self._options = fingerprint, options
-        self._draft = Draft(parameters, options)
+        self._draft = Draft(parameters, options, ParameterKind.INT32)  # every integer comes with its own type
         self._reasons: list[str] = []
         asked = options.only
         self._left_out = {

@@ -72,12 +72,7 @@ class Draft:
     `integers` is the type of flags and numbers, one of :data:`INTEGERS`.
     """
 
-    def __init__(
-        self,
-        parameters: Mapping[str, Value],
-        options: ComposeOptions,
-        integers: ParameterKind = INTEGERS["px4"],
-    ) -> None:
+    def __init__(self, parameters: Mapping[str, Value], options: ComposeOptions, integers: ParameterKind) -> None:
         self.parameters = parameters
         self.options = options
         self._integers = integers

@@ -24,7 +24,7 @@ from mavcal.calib.firmware.names import (
     px4_thermal_names,
 )
 from mavcal.calib.firmware.options import ComposeOptions
-from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.firmware.plan import Fingerprint, ParameterKind
 from mavcal.calib.recording import Sensor
 
 # Where a firmware states a range, it is the one below; the others are ours, with the reason beside them in `limits`.
@@ -103,7 +103,7 @@ def test_a_refusal_has_the_number_the_limit_and_the_remedy():
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
 def test_what_is_not_a_finite_float32_is_never_planned(value):
-    draft = Draft({"TC_G0_X1_0": 0.0}, ComposeOptions())
+    draft = Draft({"TC_G0_X1_0": 0.0}, ComposeOptions(), ParameterKind.INT32)
     draft.set_real("TC_G0_X1_0", value, Rank.OFFSET, "test", about=None)
     assert draft.planned(["TC_G0_X1_0"]) == ()
     plan = draft.plan(Fingerprint("px4", "", "", ()))
@@ -112,7 +112,9 @@ def test_what_is_not_a_finite_float32_is_never_planned(value):
 
 
 def test_values_are_float32_and_equal_ones_are_left_alone():
-    draft = Draft({"INS_ACCOFFS_X": float(np.float32(0.1)), "INS_ACCOFFS_Y": 0.0}, ComposeOptions())
+    draft = Draft(
+        {"INS_ACCOFFS_X": float(np.float32(0.1)), "INS_ACCOFFS_Y": 0.0}, ComposeOptions(), ParameterKind.INT32
+    )
     draft.set_real("INS_ACCOFFS_X", 0.1, Rank.OFFSET, "test", about=None)
     draft.set_real("INS_ACCOFFS_Y", 0.1, Rank.OFFSET, "test", about=None)
     (change,) = draft.planned(["INS_ACCOFFS_X", "INS_ACCOFFS_Y"])
@@ -122,7 +124,7 @@ def test_values_are_float32_and_equal_ones_are_left_alone():
 
 
 def test_a_value_that_could_not_be_put_back_is_not_overwritten():
-    draft = Draft({"CAL_ACC0_XOFF": math.nan}, ComposeOptions())
+    draft = Draft({"CAL_ACC0_XOFF": math.nan}, ComposeOptions(), ParameterKind.INT32)
     draft.set_real("CAL_ACC0_XOFF", 0.1, Rank.OFFSET, "test", about=None)
     plan = draft.plan(Fingerprint("px4", "", "", ()))
     assert "CAL_ACC0_XOFF" in plan.blockers[0]

@@ -22,7 +22,7 @@ CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-5, 6e-7, 1e-9], [-4e-5, -3e-7, 
 
 
 def judged(parameters, pair, changes=(), autopilot="ardupilot"):
-    draft = Draft(parameters, ComposeOptions())
+    draft = Draft(parameters, ComposeOptions(), ParameterKind.INT32)
     for name, value in dict(changes).items():
         draft.set_real(name, value, Rank.OFFSET, "", about=pair.about)
     return agreement(draft, autopilot, pair)
@@ -100,7 +100,7 @@ class TestNews:
     def test_a_number_of_a_rotation_or_an_id_is_news(self, ardupilot_parameters, make_fit):
         fit = fit_of(make_fit, Sensor.ACCEL, np.zeros(9))
         for rank, agrees in ((Rank.ID, False), (Rank.ROTATION, False), (Rank.SETTING, True)):
-            draft = Draft(in_force(ardupilot_parameters), ComposeOptions())
+            draft = Draft(in_force(ardupilot_parameters), ComposeOptions(), ParameterKind.INT32)
             draft.set_integer("INS_ACC_ID", 7, rank, "", kind=ParameterKind.INT32, about=ACCEL)
             assert (agreement(draft, "ardupilot", Pair(ACCEL, fit, None)) is not None) == agrees
 
@@ -190,7 +190,7 @@ class TestDrift:
         assert judged(off, Pair(GYRO, rest, None)) is not None
         rest = make_fit(Sensor.GYRO, offset=[0.5, 0.02, 0.03], offset_sd=1e-3, temperature=None)
         assert judged(off, Pair(GYRO, rest, None)) is not None  # of what can be stored
-        draft = Draft(off, ComposeOptions())
+        draft = Draft(off, ComposeOptions(), ParameterKind.INT32)
         draft.set_integer("INS_TCAL1_ENABLE", 1, Rank.THERMAL_ENABLE, "", kind=ParameterKind.INT8, about=GYRO)
         assert agreement(draft, "ardupilot", Pair(GYRO, rest, None)) is None
 
@@ -207,6 +207,6 @@ class TestDrift:
         off = thermal(ardupilot_parameters) | {"INS_TCAL1_ENABLE": 0}
         fit = self.drift(make_fit, self.FLAT, offset_sd=1e-2, sd=1.0)
         assert judged(off, Pair(GYRO, None, fit)) is None
-        draft = Draft(off, ComposeOptions())
+        draft = Draft(off, ComposeOptions(), ParameterKind.INT32)
         draft.set_integer("INS_TCAL1_ENABLE", 1, Rank.THERMAL_ENABLE, "", kind=ParameterKind.INT8, about=GYRO)
         assert agreement(draft, "ardupilot", Pair(GYRO, None, fit)) is not None

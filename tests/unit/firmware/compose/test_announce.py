@@ -11,6 +11,7 @@ from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose import announce
 from mavcal.calib.firmware.compose.draft import Draft, Subject
 from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial
@@ -21,7 +22,7 @@ G = 9.80665
 
 @pytest.fixture
 def draft():
-    return Draft({}, ComposeOptions())
+    return Draft({}, ComposeOptions(), ParameterKind.INT32)
 
 
 def lost(draft):

@@ -12,7 +12,7 @@ from mavcal.calib.firmware.compose.draft import Draft, Subject
 from mavcal.calib.firmware.compose.mag_motor import compensated, compose_motors, corrupt_compensation
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.compose.trim import adjust_trim, compose_level, force_when_level
-from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.firmware.plan import Fingerprint, ParameterKind
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import ParameterTimeline, Sensor
 
@@ -102,7 +102,7 @@ class TestTrim:
             ("ardupilot", ardupilot_parameters, 1.0, "rad"),
             ("px4", px4_parameters, 180.0 / np.pi, "deg"),
         ):
-            draft = Draft(known, ComposeOptions())
+            draft = Draft(known, ComposeOptions(), ParameterKind.INT32)
             assert compose_level(draft, autopilot, fits) is None
             roll, pitch = draft.changes
             assert (roll.new, pitch.new) == (pytest.approx(0.03 * per_rad), pytest.approx(-0.02 * per_rad))
@@ -111,20 +111,20 @@ class TestTrim:
             assert roll.why == "level trim, roll: the attitude that was measured is level"
 
     def test_a_refused_level_counts_for_nothing(self, make_fit, ardupilot_parameters):
-        draft = Draft(ardupilot_parameters, ComposeOptions())
+        draft = Draft(ardupilot_parameters, ComposeOptions(), ParameterKind.INT32)
         assert compose_level(draft, "ardupilot", [self.level(make_fit, 0.1, 0.0, status=FitStatus.REFUSED)]) is None
         assert compose_level(draft, "ardupilot", []) is None
         assert draft.changes == ()
 
     @pytest.mark.parametrize(("degrees", "planned"), [(9.99, True), (10.01, False)])
     def test_ten_degrees_are_the_most(self, make_fit, ardupilot_parameters, degrees, planned):
-        draft = Draft(ardupilot_parameters, ComposeOptions())
+        draft = Draft(ardupilot_parameters, ComposeOptions(), ParameterKind.INT32)
         compose_level(draft, "ardupilot", [self.level(make_fit, 0.0, np.radians(-degrees))])
         assert bool(draft.changes) == planned
         assert bool(draft.plan(None).blockers) != planned
 
     def carried(self, make_fit, parameters, offset, **more):
-        draft = Draft(parameters, ComposeOptions(**more))
+        draft = Draft(parameters, ComposeOptions(**more), ParameterKind.INT32)
         fit = make_fit(Sensor.ACCEL, offset=offset, offset_sd=2e-3)
         for axis, value in zip("XYZ", offset, strict=True):
             draft.set_real(f"INS_ACCOFFS_{axis}", value, 5, "", about=Subject(Sensor.ACCEL, 0))
@@ -192,7 +192,7 @@ class TestMotors:
     def test_the_kind_that_helps_most_is_written_and_the_rest_is_told(self, ardupilot_parameters):
         known = ardupilot_parameters | self.GAINS | {"COMPASS_MOTCT": 0}
         known |= {n.replace("MOT_", "MOT2_"): 0.0 for n in self.GAINS}
-        draft = Draft(known, ComposeOptions())
+        draft = Draft(known, ComposeOptions(), ParameterKind.INT32)
         compose_motors(draft, "ardupilot", [motor_fit(), motor_fit(1, proposed=False)])
         planned = {c.name: c for c in draft.changes}
         assert planned["COMPASS_MOTCT"].why == "compensate against current"
@@ -200,13 +200,13 @@ class TestMotors:
         assert {c.unit for n, c in planned.items() if n != "COMPASS_MOTCT"} == {"mGauss/A"}
         assert not any("MOT2" in name for name in planned)
         assert draft.losses == ()
-        other = Draft(known, ComposeOptions())
+        other = Draft(known, ComposeOptions(), ParameterKind.INT32)
         compose_motors(
             other, "ardupilot", [motor_fit(), motor_fit(1, drive="throttle", current_rms=1.0, throttle_rms=0.9)]
         )
         (loss,) = other.losses
         assert (loss.instance, loss.unit, loss.cost) == (1, "uT", pytest.approx(0.1))
-        none = Draft(known | {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 4.0}, ComposeOptions())
+        none = Draft(known | {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 4.0}, ComposeOptions(), ParameterKind.INT32)
         compose_motors(none, "ardupilot", [motor_fit(proposed=False)])
         taken = {c.name: c for c in none.changes}
         assert {name: c.new for name, c in taken.items()} == {"COMPASS_MOT_X": 0.0, "COMPASS_MOTCT": 0}
@@ -214,7 +214,7 @@ class TestMotors:
         assert taken["COMPASS_MOTCT"].why == "no compass needs compensation"
 
     def test_a_fit_in_another_unit_is_refused(self, ardupilot_parameters):
-        draft = Draft(ardupilot_parameters | self.GAINS | {"COMPASS_MOTCT": 0}, ComposeOptions())
+        draft = Draft(ardupilot_parameters | self.GAINS | {"COMPASS_MOTCT": 0}, ComposeOptions(), ParameterKind.INT32)
         fit = dataclasses.replace(motor_fit(), unit="1")
         assert isinstance(fit, FitResult)
         compose_motors(draft, "ardupilot", [fit])
@@ -257,7 +257,7 @@ def test_learning_of_compasses_is_switched_off_where_it_is_on(
 def test_a_level_that_px4_holds_agrees_in_its_degrees(px4_parameters, make_fit):
     held = {"SENS_BOARD_X_OFF": 2.0, "SENS_BOARD_Y_OFF": -1.0}
     native = {"roll": 1e-5, "pitch": -1e-5, "roll_sd": 2e-4, "pitch_sd": 3e-4}  # of what is turned already
-    draft = Draft(px4_parameters | held, ComposeOptions())
+    draft = Draft(px4_parameters | held, ComposeOptions(), ParameterKind.INT32)
     found = compose_level(draft, "px4", [make_fit(Sensor.ACCEL, method="level", native=native)])
     assert found is not None
     assert found.deviation < 0.2

@@ -17,7 +17,7 @@ WHOSE = Fingerprint("ardupilot", "", "4.6", ())
 
 @pytest.fixture
 def draft():
-    return Draft(HELD, ComposeOptions())
+    return Draft(HELD, ComposeOptions(), ParameterKind.INT32)
 
 
 def real(draft, name, value, rank=Rank.OFFSET, about=GYRO, **more):
@@ -100,7 +100,7 @@ def test_what_is_no_single_precision_number_refuses_its_sensor(draft, value):
 
 
 def test_a_number_that_could_not_be_put_back_is_not_overwritten():
-    draft = Draft(HELD | {NAMES[0]: float("nan")}, ComposeOptions())
+    draft = Draft(HELD | {NAMES[0]: float("nan")}, ComposeOptions(), ParameterKind.INT32)
     real(draft, NAMES[0], 0.1)
     assert draft.changes == ()
     assert "could not be put back" in draft.refused[GYRO][0]

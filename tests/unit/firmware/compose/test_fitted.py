@@ -36,7 +36,7 @@ SLOPES = tuple(f"poly{k}_{a}" for k in (1, 2) for a in AXES)
 
 @pytest.fixture
 def draft():
-    return Draft({}, ComposeOptions())
+    return Draft({}, ComposeOptions(), ParameterKind.INT32)
 
 
 def test_a_refused_fit_is_left_out_with_its_own_words(draft, make_fit):

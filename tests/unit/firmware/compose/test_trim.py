@@ -159,7 +159,7 @@ def test_a_trim_that_hangs_on_an_unknown_temperature_is_not_carried_over(px4_par
     parameters |= {f"TC_A0_X{k}_{a}": 0.001 for k in range(4) for a in range(3)}
     fit = levelled(make_fit, [0.3, -0.2, 0.15], temperature=None)
     assert trim_changes(compose([fit], parameters, px4_fingerprint)) == ["SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF"]
-    draft = Draft(parameters, ComposeOptions())
+    draft = Draft(parameters, ComposeOptions(), ParameterKind.INT32)
     compose_imu(draft, [Pair(Subject(Sensor.ACCEL, 0), fit, None)])
     draft.set_integer("TC_A_ENABLE", 1, Rank.THERMAL_ENABLE, "", kind=ParameterKind.INT32)
     adjust_trim(draft, "px4", [fit])

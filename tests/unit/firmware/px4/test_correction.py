@@ -16,6 +16,7 @@ from mavcal.calib.firmware.compose.px4_memory import (
 )
 from mavcal.calib.firmware.names import CROSS, OFFSET, SCALE
 from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.firmware.slots import (
@@ -140,7 +141,7 @@ class TestMemory:
 
     def test_an_order_is_found_in_which_a_change_acts_at_once(self, px4_parameters):
         known = px4_parameters | {"CAL_ACC0_XOFF": 0.5, "CAL_ACC0_YOFF": 0.5}
-        draft = Draft(known, ComposeOptions())
+        draft = Draft(known, ComposeOptions(), ParameterKind.INT32)
         for values, order in (
             ([0.52, 0.5, 0.0], (0,)),
             ([0.505, 0.5, 0.0], None),
@@ -151,14 +152,14 @@ class TestMemory:
             assert order_without_restart(draft, vector(ACCEL, OFFSET, values), np.array(values)) == order
 
     def test_an_empty_row_is_loaded_whole(self, px4_parameters):
-        draft = Draft(px4_parameters | {"CAL_ACC0_ID": 0}, ComposeOptions())
+        draft = Draft(px4_parameters | {"CAL_ACC0_ID": 0}, ComposeOptions(), ParameterKind.INT32)
         assert order_without_restart(draft, vector(ACCEL, OFFSET, [0.001, 0, 0]), np.array([0.001, 0, 0])) == (0, 1, 2)
 
     @pytest.mark.parametrize(("deviation", "written"), [(1.61, False), (1.62, True)])
     def test_a_restart_is_not_asked_for_the_noise_of_a_vector(self, px4_parameters, deviation, written):
         """7.815 is the 95 % quantile of chi-squared with three degrees of freedom: 3 x 1.614^2."""
         known = px4_parameters | {f"CAL_ACC0_{a}OFF": 0.5 for a in "XYZ"}
-        draft = Draft(known, ComposeOptions())
+        draft = Draft(known, ComposeOptions(), ParameterKind.INT32)
         wanted = vector(ACCEL, OFFSET, [0.5 + deviation * 1e-3] * 3, sd=1e-3)
         set_vector(draft, wanted, wanted.values.astype(np.float32).astype(np.float64))
         assert [c.needs_reboot for c in draft.changes] == ([True] * 3 if written else [])
