@@ -220,8 +220,8 @@ def with_limit(report: GapReport, pace: GapPace) -> GapReport:
 
 
 def unsearched(report: GapReport, pace: GapPace) -> GapReport:
-    """The report of sensors and airframe: that nothing differs is not said where not everything was looked for."""
-    cut = {GapStage.AIRFRAME, GapStage.SELECTION} & pace.left_out.keys()
+    """The report of sensors and airframe: nothing differs only where all was looked for and compared."""
+    cut = {GapStage.AIRFRAME, GapStage.SELECTION, GapStage.RIVALS} & pace.left_out.keys()
     nothing = report.verdict is GapVerdict.NO_GAP
     return replace(report, verdict=GapVerdict.NOT_TESTABLE) if cut and nothing else report
 

@@ -122,6 +122,7 @@ def test_a_flight_is_asked_first_and_ends_in_time() -> None:
     [
         (GapStage.AIRFRAME, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE),
         (GapStage.SELECTION, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE),
+        (GapStage.RIVALS, GapVerdict.NO_GAP, GapVerdict.NOT_TESTABLE),
         (GapStage.AIRFRAME, GapVerdict.EXPLAINED, GapVerdict.EXPLAINED),
         (GapStage.HELD_OUT, GapVerdict.NO_GAP, GapVerdict.NO_GAP),
     ],
@@ -129,7 +130,7 @@ def test_a_flight_is_asked_first_and_ends_in_time() -> None:
 def test_no_gap_is_not_said_of_flights_that_were_not_searched(
     stage: GapStage, verdict: GapVerdict, said: GapVerdict
 ) -> None:
-    """A thrust of 0.90 was no gap where the limit left the airframe out: the loop ended with nothing left."""
+    """A thrust of 0.90 was no gap where the limit left the airframe out, a bias where rivals were not compared."""
     pace = GapPace(Watch(now=1e9), 100.0)
     pace.begin(stage)
     assert pace.ends()
