@@ -77,7 +77,14 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
         said += f" Likely, or else one of the rivals below: {'; '.join(unsettled)}." if unsettled else ""
         said += f" Of the day, and not exported: {'; '.join(of_day)}." if of_day else ""
         said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
-    return said
+    return f"{said}{_airframe_untested(report)}"
+
+
+def _airframe_untested(report: GapReport) -> str:
+    """Why the answer is not about the airframe of a flight; empty: it is, or there is no answer."""
+    if report.verdict is GapVerdict.NOT_TESTABLE:
+        return ""
+    return "".join(f" The airframe was not compared: {n.reason}." for n in report.not_testable if n.id == "airframe")
 
 
 def _has_rivals(effect: EffectEstimate) -> bool:

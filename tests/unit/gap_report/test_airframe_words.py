@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from mavcal.calib.airframe.answer import AirframePart, Commands, Domain, Quantity, Rollout, RolloutStep
-from mavcal.calib.gap.schema import GapVerdict, MultipleTesting, Rival
+from mavcal.calib.gap.schema import GapVerdict, MultipleTesting, NotTestable, Rival
 from mavcal.calib.gap_report.airframe_effects import claims, known, phrase, plain_name, rival_phrase, wind_from
 from mavcal.calib.gap_report.airframe_words import (
     closed_words,
@@ -279,6 +279,14 @@ def test_the_likeliest_of_several_is_no_certain_finding():
     assert "One of several known effects explains it; these flights do not tell which." in said
     assert "known effects explain the difference" not in said
     assert "Found" not in said
+
+
+def test_an_airframe_that_was_not_compared_is_said_beside_the_verdict():
+    """A hexacopter beside a simulated quadcopter was "no difference beyond the noise", and no more."""
+    other = NotTestable("airframe", "the vehicles have 6 and 4 motors", "a simulator of the same frame")
+    one = replace(report(), not_testable=(other,))
+    assert verdict_sentence(one).endswith("The airframe was not compared: the vehicles have 6 and 4 motors.")
+    assert "compared" not in verdict_sentence(replace(one, verdict=GapVerdict.NOT_TESTABLE))
 
 
 def test_beside_a_useless_reference_the_flight_still_speaks():
