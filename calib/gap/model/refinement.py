@@ -35,19 +35,10 @@ _SHORTENED = 4
 """Lengths that are tried of a step. Chosen, not measured: a step that needs more leads nowhere."""
 
 
-def refined(model: Model) -> tuple[Model, Joint]:
-    """The joint maximum over the mean at the present noise; discontinuous shapes are held."""
-    return _refined(model, tuple(range(len(model.terms))))
-
-
-def refined_on(model: Model, sensors: Collection[Sensor], *, hold: bool = False) -> Model:
-    """The same over the terms of some sensors and of those coupled with them.
-
-    With `hold` one step of the amplitudes alone.
-    """
+def coupled_terms(model: Model, sensors: Collection[Sensor]) -> tuple[int, ...]:
+    """Indices of the terms of some sensors and of those coupled with them."""
     near = coupled_sensors(model, sensors)
-    members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
-    return _refined(model, tuple(members), hold=hold)[0]
+    return tuple(i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
 
 
 def coupled_sensors(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
@@ -56,7 +47,12 @@ def coupled_sensors(model: Model, sensors: Collection[Sensor]) -> frozenset[Sens
     return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
 
 
-def _refined(model: Model, members: tuple[int, ...], *, hold: bool = False) -> tuple[Model, Joint]:
+def refined(model: Model, members: tuple[int, ...] | None = None, *, hold: bool = False) -> tuple[Model, Joint]:
+    """The joint maximum over the mean at the present noise; discontinuous shapes are held.
+
+    Over the terms `members`; None: over all. With `hold` one step of the amplitudes alone.
+    """
+    members = tuple(range(len(model.terms))) if members is None else members
     joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
     if not members and model.ridge is None:
         return model, joint

@@ -34,7 +34,7 @@ from mavcal.calib.gap.model.noise_fit import (
     without_term,
 )
 from mavcal.calib.gap.model.normal_equations import solved
-from mavcal.calib.gap.model.refinement import coupled_sensors, refined, refined_on
+from mavcal.calib.gap.model.refinement import coupled_sensors, coupled_terms, refined
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.gap.search.contest import Contest, ContestScore
@@ -81,8 +81,9 @@ def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) 
     """
     own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
     near = coupled_sensors(model, own)
-    noise = noise_fitted(refined_on(model, near, hold=hold), sorted(near))
-    return refined_on(noise.model, near, hold=hold)
+    members = coupled_terms(model, near)
+    noise = noise_fitted(refined(model, members, hold=hold)[0], sorted(near))
+    return refined(noise.model, members, hold=hold)[0]
 
 
 def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
