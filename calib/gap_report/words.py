@@ -46,10 +46,12 @@ _BOTH = (
     "The real vehicle flies differently from the simulated one and its sensors read differently; known effects explain "
     "the difference."
 )
-_ONE_OF_SEVERAL = (
-    "The real vehicle flies differently from the simulated one. One of several known effects explains it; these "
-    "flights do not tell which."
-)
+_ONE_OF_SEVERAL = {
+    Domain.SENSOR: "The real sensors differ from the simulated ones.",
+    Domain.AIRFRAME: "The real vehicle flies differently from the simulated one.",
+}
+"""What differs, by domain, where one of several effects explains it."""
+_WHICH = "One of several known effects explains it; these recordings do not tell which."
 _DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
 _UNFINISHED = {
     GapVerdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; there was no time to try them all.",
@@ -88,8 +90,8 @@ def _airframe_untested(report: GapReport) -> str:
 
 
 def _has_rivals(effect: EffectEstimate) -> bool:
-    """Whether an effect of the airframe is the likeliest of several competing ones, and not certain."""
-    return effect.domain is Domain.AIRFRAME and effect.evidence.probability < LIKELY
+    """Whether an effect is the likeliest of several competing ones, and not certain."""
+    return effect.evidence.probability < LIKELY and bool(effect.confusable_with or effect.domain is Domain.AIRFRAME)
 
 
 def _domains(report: GapReport) -> set[Domain]:
@@ -103,12 +105,8 @@ def _verdict(report: GapReport) -> str:
         return _DAY_ONLY
     if domains >= {Domain.AIRFRAME, Domain.SENSOR} and report.verdict is GapVerdict.EXPLAINED:
         return _BOTH
-    if (
-        domains == {Domain.AIRFRAME}
-        and report.verdict is GapVerdict.EXPLAINED
-        and all(map(_has_rivals, report.effects))
-    ):
-        return _ONE_OF_SEVERAL
+    if report.verdict is GapVerdict.EXPLAINED and len(domains) == 1 and all(map(_has_rivals, report.effects)):
+        return f"{_ONE_OF_SEVERAL[next(iter(domains))]} {_WHICH}"
     of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 

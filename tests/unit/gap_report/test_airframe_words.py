@@ -276,8 +276,19 @@ def test_the_likeliest_of_several_is_no_certain_finding():
     first = replace(DRAG, evidence=replace(DRAG.evidence, probability=0.58))
     said = verdict_sentence(replace(report(first), airframe=AirframePart()))
     assert "Likely, or else one of the rivals below: (58 %) the real vehicle has 1.60 times the rotor drag" in said
-    assert "One of several known effects explains it; these flights do not tell which." in said
+    assert "One of several known effects explains it; these recordings do not tell which." in said
     assert "known effects explain the difference" not in said
+    assert "Found" not in said
+
+
+def test_a_sensor_with_a_rival_is_no_certain_finding():
+    """A bias of probability 0.6 beside a scale of 0.4 was "Found"."""
+    bias = effect("accel_bias", bias=(0.0, 0.0, 0.2))
+    likely = replace(bias.evidence, probability=0.6)
+    unsure = replace(bias, evidence=likely, confusable_with=(Rival("accel_scale", 0.98, 0.0, "turn it over"),))
+    said = verdict_sentence(report(unsure))
+    assert said.startswith("The real sensors differ from the simulated ones. One of several known effects explains it")
+    assert "Likely, or else one of the rivals below: (60 %)" in said
     assert "Found" not in said
 
 
