@@ -22,6 +22,8 @@ _SEGMENT_S: Final = 2.0
 """Seconds in which a tone keeps its phase. Chosen, not measured: a movement of a vehicle turns over within."""
 _SMOOTH_S: Final = 0.05
 """Seconds over which a reading is averaged for its rate of change. Chosen, not measured: two periods of 40 Hz."""
+_FEWEST: Final = 20
+"""Samples for a rate of change. Chosen, not measured: a segment has far more."""
 _BESIDE_HZ: Final = 4.0 / _SEGMENT_S
 """Hz beside a tone that do not see it. Source: four times the resolution of a segment."""
 
@@ -37,15 +39,19 @@ def is_sampling_jitter(effect: EffectEstimate, real: Recording) -> bool:
 
 def _follows_change(channel: Channel, hz: float) -> bool:
     """Whether a tone times the rate of change explains more of the reading than the tone itself."""
-    step = float(np.median(np.diff(channel.t)))
+    seen = np.isfinite(channel.values).all(axis=1)
+    t, values = channel.t[seen], channel.values[seen]
+    if len(t) < _FEWEST:
+        return False
+    step = float(np.median(np.diff(t)))
     rows = round(_SEGMENT_S / step)
-    count = len(channel) // max(rows, 1)
+    count = len(t) // max(rows, 1)
     if count < 1:
         return False
-    smooth = uniform_filter1d(channel.values, max(round(_SMOOTH_S / step), 1), axis=0)
+    smooth = uniform_filter1d(values, max(round(_SMOOTH_S / step), 1), axis=0)
     change = np.gradient(smooth, step, axis=0)
-    rest, change = (x[: count * rows].reshape(count, rows, 3) for x in (channel.values - smooth, change))
-    t = channel.t[: count * rows].reshape(count, rows, 1)
+    rest, change = (x[: count * rows].reshape(count, rows, 3) for x in (values - smooth, change))
+    t = t[: count * rows].reshape(count, rows, 1)
 
     def excess(factor: Array) -> float:
         """Energy of the tone times `factor`, beyond that of other frequencies close by."""

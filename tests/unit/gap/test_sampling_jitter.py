@@ -53,3 +53,16 @@ def test_both_units_must_have_it() -> None:
 
 def test_an_effect_without_a_frequency_is_none() -> None:
     assert not is_sampling_jitter(effect("gyro_scale"), recording(late()))
+
+
+@pytest.mark.parametrize("rows", [slice(0, 0), slice(0, 10), slice(0, 200)])
+def test_a_short_recording_says_nothing(rows: slice) -> None:
+    whole = recording(TURNS, late()).channel(Sensor.GYRO, 1)
+    short = Channel(Sensor.GYRO, 1, whole.t[rows], whole.values[rows], "rad/s", Stage.FILTERED, "IMU")
+    assert not is_sampling_jitter(tone(2), Recording((short,)))
+
+
+def test_samples_that_are_missing_are_left_out() -> None:
+    damaged = late()
+    damaged[4000:4010] = np.nan
+    assert is_sampling_jitter(tone(2), recording(TURNS, damaged))
