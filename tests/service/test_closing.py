@@ -297,7 +297,7 @@ def test_ctrl_c_leaves_no_simulator_behind(real: Recording, tmp_path: Path, numb
         time.sleep(0.05)
     running.send_signal(number)
     said, _ = running.communicate(timeout=scaled(30.0))
-    assert running.returncode == 130
+    assert running.returncode == 130, said.decode()
     assert b"stopped" in said
     assert nobody_left()
 
