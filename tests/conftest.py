@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from tests.patience import scaled
 from tests.postgres import NoServer, Server
 
 processes.mark()
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a job in the background; tested commands would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
