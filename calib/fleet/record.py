@@ -55,7 +55,7 @@ class BiasLimit:
 
     limit: Limit
     per_unit: float
-    """What one unit of the domain (m/s2, rad/s, uT) is in the unit of the limit."""
+    """Factor from the domain's unit (m/s2, rad/s, uT) to the unit of the limit."""
 
     @property
     def value(self) -> float:

@@ -226,9 +226,10 @@ def _as_simulated(effect: EffectEstimate) -> str:
 
 
 def _late(effect: EffectEstimate) -> str:
+    hz = next(p.value for p in effect.params if p.name == "frequency_hz")
     return (
-        f"{effect.id} of {_units(effect)} is no vibration: it grows with the rate of change of the reading, as jitter "
-        "of the sampling does"
+        f"{effect.id} of {_units(effect)} at {hz:.0f} Hz is no vibration: it grows with the rate of change of the "
+        "reading, as jitter of the sampling does"
     )
 
 

@@ -129,9 +129,9 @@ def _thrust(p: _Params, effect: EffectEstimate) -> str:
     cause, chance = max(effect.forms.items(), key=lambda form: form[1])
     if chance < _DECIDED:
         return f"{said}; the flight does not tell thrust from mass ({_PER_CENT * effect.forms['mass']:.0f} % mass)"
-    weighs = f"it is {1.0 / ratio_of(p['s'])[0]:.2f} times as heavy"
-    of_both = weighs if cause == "mass" else "its thrust differs, not its mass"
-    return f"{said}; if so, {of_both} ({_PER_CENT * chance:.0f} %)"
+    heavier = f"its mass differs, it is {1.0 / ratio_of(p['s'])[0]:.2f} times as heavy"
+    which = heavier if cause == "mass" else "its thrust differs"
+    return f"{said}; of the two, {which} ({_PER_CENT * chance:.0f} %)"
 
 
 def _expo(p: _Params, _: EffectEstimate) -> str:

@@ -50,7 +50,7 @@ _ONE_OF_SEVERAL = {
     Domain.SENSOR: "The real sensors differ from the simulated ones.",
     Domain.AIRFRAME: "The real vehicle flies differently from the simulated one.",
 }
-"""What differs, by domain, where one of several effects explains it."""
+"""First sentence, by domain, where one of several effects explains the difference."""
 _WHICH = "One of several known effects explains it; these recordings do not tell which."
 _DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
 _UNFINISHED = {
@@ -105,8 +105,13 @@ def _verdict(report: GapReport) -> str:
         return _DAY_ONLY
     if domains >= {Domain.AIRFRAME, Domain.SENSOR} and report.verdict is GapVerdict.EXPLAINED:
         return _BOTH
-    if report.verdict is GapVerdict.EXPLAINED and len(domains) == 1 and all(map(_has_rivals, report.effects)):
-        return f"{_ONE_OF_SEVERAL[next(iter(domains))]} {_WHICH}"
+    lasting = [e for e in report.effects if e.domain is not Domain.ENVIRONMENT]
+    if (
+        report.verdict is GapVerdict.EXPLAINED
+        and len({e.domain for e in lasting}) == 1
+        and all(map(_has_rivals, lasting))
+    ):
+        return f"{_ONE_OF_SEVERAL[lasting[0].domain]} {_WHICH}"
     of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 

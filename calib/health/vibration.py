@@ -1,6 +1,6 @@
 """Vibration of the inertial units: levels and clip counts, limits of the sampling, and rectification.
 
-Rectification shifts the mean of an accelerometer, beyond any calibration. It is told by the sensor alone: the length of
+Rectification shifts the mean of an accelerometer, beyond any calibration. The sensor alone shows it: the length of
 its force in calm seconds against that in shaken ones. A calibration error is in both; a shift that comes with the
 shaking is the mount's. Manoeuvres of a second average out over many.
 """
@@ -41,7 +41,7 @@ _STRONG: Final = 0.5 * STANDARD_GRAVITY
 _SHIFTED: Final = 0.5
 """m/s2: twice of what calls a calm sensor suspicious."""
 _CLIPS: Final = 0.005
-"""Part of the samples at the end of the range from which on they shift the mean."""
+"""Share of clipped samples above which they shift the mean."""
 _HELD_S: Final = 5.0
 """A level counts as vibration where it was reached for so long in all; shorter ones are blows."""
 _LEAST: Final = 5

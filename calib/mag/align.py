@@ -159,7 +159,7 @@ def fit_alignment(
     time_offset
         By how much the magnetometer is later than the accelerometer, s. None: tested, and taken out where it is sure.
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Returns
     -------

@@ -70,7 +70,7 @@ def fit_ellipsoid(
         Standard deviation of each relative soft-iron term (``S/r - I``) about zero, for movements that cover little:
         0.05 is a clean vehicle. None: the data alone (for ``auto``: 0.1).
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Verdict on an ellipsoid from its covariance, residuals and coverage; blur and lag of slow samples.
 
 Residuals of a compass that was sampled more slowly than it turned are no series: from one to the next everything has
-changed, so misfit cannot be told from noise by its correlation in time. What causes blur and lag is known, though: the
+changed, so misfit cannot be told from noise by its correlation in time. Yet the cause of blur and lag is known: the
 turn. A mean over a window ``w`` shortens the field by ``(w^2/24) |du/dt|^2``, which a steady tumble hides in the
 ellipsoid. An axis that is read later by ``d`` than the others is off by ``d du_i/dt``, along the field by
 ``d u_i du_i/dt``.
@@ -46,7 +46,7 @@ from mavcal.calib.triad import TriadModel
 Array = NDArray[np.float64]
 
 WINDOW_S: Final = 0.1
-"""What a compass averages over at most: ArduPilot's read-out at 10 Hz, and the internal averages of magnetometers."""
+"""Longest window over which a compass averages, s: ArduPilot reads out at 10 Hz, and magnetometers average inside."""
 _SPARSE: Final = float(np.radians(30.0))  # from one sample to the next: beyond it residuals are no series
 _POSES: Final = float(np.radians(60.0))  # no vehicle turns so far at every sample
 _FASTEST: Final = 2.0 * np.pi  # rad/s: nor so fast for the whole of a recording

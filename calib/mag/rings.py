@@ -76,7 +76,7 @@ def fit_rings(
     diameter
         Length of a corrected diameter, in whatever unit: twice the field strength. None: the field's, else det C = 1.
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Returns
     -------

@@ -175,7 +175,7 @@ class RunningEllipsoid:
         model
             What is free, :class:`~calib.mag.shape.MagModel`.
         **facts
-            What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+            Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
         """
         context, form = MagContext(**facts), MagModel(model)
         try:

@@ -53,7 +53,7 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 4.
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 5.
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResu
     samples : shape (N, 3)
         N >= 7.
     **facts
-        What is known of sensor and field: :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
 
     Raises
     ------

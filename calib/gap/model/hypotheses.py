@@ -86,9 +86,10 @@ class Hypothesis:
     def is_unobservable_beside(self, others: Iterable[Hypothesis], views: Iterable[View]) -> bool:
         """Whether, beside the same effect on other units, it shows in differences of just these units alone.
 
-        Equal errors of all units cancel there, so that only how they differ is observable.
+        Equal errors of all units cancel there, so that only how they differ is observable. What can happen again, as
+        steps do, differs in its time.
         """
-        if not isinstance(self.effect, MeanEffect) or self.effect.shared:
+        if not isinstance(self.effect, MeanEffect) or self.effect.shared or self.effect.repeatable:
             return False
         alike = [other for other in others if other.effect.id == self.effect.id]
         units = {i for h in (self, *alike) for i in h.instances}

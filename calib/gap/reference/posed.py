@@ -194,8 +194,9 @@ def _acceleration(recording: Recording, t: Array, q: Array, highest: float | Non
 
     The cut-off is the highest frequency at which it still agrees with the accelerometer.
     """
-    own = (c for c in recording.dynamics if c.sensor == Sensor.VELOCITY and c.source == TABLE)
-    found: dict[Sensor, Channel] = {c.sensor: c for c in (*own, *recording.reference) if len(c) >= _LEAST}
+    found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= _LEAST}
+    if not {Sensor.VELOCITY, Sensor.PLACE} & found.keys():  # an estimator's velocity is the poorer one
+        found |= {c.sensor: c for c in recording.dynamics if c.source == TABLE and len(c) >= _LEAST}
     turn = rotation(q)
     force = _readings_at(recording, Sensor.ACCEL, t)
     for sensor in (Sensor.VELOCITY, Sensor.PLACE):

@@ -35,7 +35,7 @@ BACKWARD_S: Final = 1.0
 CONFIRMATIONS: Final = 5
 """So many messages in a row behind a step back are a restart; fewer are damage."""
 RESTART_GAP_S: Final = 0.5
-"""What is put between the last time before a restart and the first one after it; its true length is not known."""
+"""Seconds assumed between the last time before a restart and the first one after it; the true length is unknown."""
 LONGEST_JUMP_S: Final = 60.0
 """A last message that lies further behind all others is damage."""
 LONGEST_S: Final = 3600.0

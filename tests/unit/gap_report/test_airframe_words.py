@@ -118,8 +118,8 @@ def test_every_effect_is_said_in_plain_words_with_its_size(id_):
 @pytest.mark.parametrize(
     ("forms", "said"),
     [
-        ({"thrust": 0.97, "mass": 0.03}, "; if so, its thrust differs, not its mass (97 %)"),
-        ({"thrust": 0.02, "mass": 0.98}, "; if so, it is 1.10 times as heavy (98 %)"),
+        ({"thrust": 0.97, "mass": 0.03}, "; of the two, its thrust differs (97 %)"),
+        ({"thrust": 0.02, "mass": 0.98}, "; of the two, its mass differs, it is 1.10 times as heavy (98 %)"),
         ({"thrust": 0.3, "mass": 0.7}, "; the flight does not tell thrust from mass (70 % mass)"),
     ],
 )
@@ -274,7 +274,7 @@ def test_what_is_doubtful_is_no_finding_of_the_day():
 def test_the_likeliest_of_several_is_no_certain_finding():
     """A thrust of probability 0.58 beside its curve was "Found"."""
     first = replace(DRAG, evidence=replace(DRAG.evidence, probability=0.58))
-    said = verdict_sentence(replace(report(first), airframe=AirframePart()))
+    said = verdict_sentence(replace(report(first, WIND), airframe=AirframePart()))
     assert "Likely, or else one of the rivals below: (58 %) the real vehicle has 1.60 times the rotor drag" in said
     assert "One of several known effects explains it; these recordings do not tell which." in said
     assert "known effects explain the difference" not in said

@@ -141,6 +141,8 @@ def test_one_error_of_both_units_is_not_observable_in_their_difference():
     assert not second.is_unobservable_beside([], [apart])
     assert not second.is_unobservable_beside([Hypothesis(by_id()["gyro_scale"], (0,))], [apart])
     assert not Hypothesis(noise, (1,)).is_unobservable_beside([Hypothesis(noise, (0,))], [apart])
+    step = by_id()["gyro_step"]
+    assert not Hypothesis(step, (1,)).is_unobservable_beside([Hypothesis(step, (0,))], [apart])
     assert not second.is_unobservable_beside([first], [apart, own])
     third = dataclasses.replace(own, weights={0: 0.5, 1: 0.5, 2: -1.0})
     assert not second.is_unobservable_beside([first], [third])

@@ -58,6 +58,15 @@ def test_the_velocity_of_a_flight_table_gives_the_acceleration():
     assert "acceleration is not in it" not in problem.reference.text
 
 
+def test_a_measured_place_comes_before_the_velocity_of_an_estimator():
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    nothing = np.zeros((len(t), 2))
+    place = channel(Sensor.PLACE, t, np.column_stack([0.15 * t**2, nothing]))
+    wrong = channel(Sensor.VELOCITY, t, np.column_stack([3.0 * t, nothing]))
+    real = dataclasses.replace(posed(), reference=(place,), dynamics=(wrong,))
+    assert by_sensor(build(real))[Sensor.ACCEL].residual[50:-50].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
+
+
 def test_a_pose_goes_no_further_than_the_one_it_is_compared_with():
     noisy = pose_of(posed(jitter=2e-3))
     exact = pose_of(posed(), noisy.cutoffs)
