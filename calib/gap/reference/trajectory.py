@@ -24,8 +24,8 @@ from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
-GYRO_BIAS = slice(6, 9)
-"""Where it is in the state of a node."""
+_ATTITUDE, _VELOCITY, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Where they are in the state of a node."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
@@ -224,7 +224,7 @@ def log_evidence(
     """
     prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     normal = _normal_equations(imu, aiding, state, prior)
-    return -0.5 * (normal.cost + normal.log_determinant + 2.0 * float(np.log(prior).sum()))
+    return -0.5 * (normal.cost + normal.log_determinant + 2.0 * float(np.log(prior[normal.free]).sum()))
 
 
 def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
@@ -239,9 +239,13 @@ def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
 
 
 class _NormalEquations:
-    """Banded normal equations with a border: diagonal blocks (n, 12, 12), blocks beside them, border, corner."""
+    """Banded normal equations with a border: diagonal blocks (n, 12, 12), blocks beside them, border, corner.
 
-    def __init__(self, n: int) -> None:
+    `prior_sd` (44,) of the constants; those that may not differ are left out of what is solved.
+    """
+
+    def __init__(self, n: int, prior_sd: Array) -> None:
+        self.free = np.flatnonzero(prior_sd > _NOTHING)
         self.diagonal = np.zeros((n, NODE, NODE))
         self.beside = np.zeros((n - 1, NODE, NODE))
         self.border = np.zeros((n, NODE, CONSTANTS))
@@ -253,40 +257,59 @@ class _NormalEquations:
         self.mag_residual = np.zeros((0, 3))
 
     def observe(
-        self, node: NDArray[np.intp], by_node: Array, by_constant: Array, residual: Array, weight: Array
+        self,
+        node: NDArray[np.intp],
+        part: slice,
+        by_part: Array,
+        constants: NDArray[np.intp],
+        by_constant: Array,
+        residual: Array,
+        weight: Array,
     ) -> None:
-        """Rows ``residual = by_node x + by_constant c + noise``; `weight` (M, 3) are their inverse variances.
+        """Rows ``residual = by_part x + by_constant c + noise`` (M, 3), with `weight` (M, 3) their inverse variances.
 
-        `node` (M,) must be sorted.
+        They see only `part` of a node's state, three numbers, and the `constants` (p,). `node` (M,) must be sorted.
         """
-        weighted, constants = by_node * weight[:, :, None], by_constant * weight[:, :, None]
-        turned = weighted.swapaxes(1, 2)
+        turned = (by_part * weight[:, :, None]).swapaxes(1, 2)
         firsts = np.flatnonzero(np.diff(node, prepend=-1))
         seen = node[firsts]
-        self.diagonal[seen] += np.add.reduceat(turned @ by_node, firsts)
-        self.border[seen] += np.add.reduceat(turned @ by_constant, firsts)
-        self.right[seen] += np.add.reduceat((turned @ residual[:, :, None])[:, :, 0], firsts)
-        rows = constants.reshape(-1, CONSTANTS)
-        self.corner += rows.T @ by_constant.reshape(-1, CONSTANTS)
-        self.right_constants += rows.T @ residual.reshape(-1)
+        self.diagonal[seen, part, part] += np.add.reduceat(turned @ by_part, firsts)
+        self.right[seen, part] += np.add.reduceat((turned @ residual[:, :, None])[:, :, 0], firsts)
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
+        if len(constants):
+            states = np.arange(part.start, part.stop)
+            self.border[np.ix_(seen, states, constants)] += np.add.reduceat(turned @ by_constant, firsts)
+            self.add_constants(constants, by_constant, residual, weight)
+
+    def add_constants(self, constants: NDArray[np.intp], by_constant: Array, residual: Array, weight: Array) -> None:
+        """Rows ``residual = by_constant c + noise`` (M, r), of the `constants` (p,) alone."""
+        flat = by_constant.reshape(-1, len(constants))
+        rows = (by_constant * weight[:, :, None]).reshape(flat.shape)
+        self.corner[np.ix_(constants, constants)] += rows.T @ flat
+        self.right_constants[constants] += rows.T @ residual.reshape(-1)
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
         """Nodes (n, 12, k) and constants (44, k) for right sides of that shape."""
-        n = len(self.diagonal)
-        factor = (self._factor, True)
-        flat_border = self.border.reshape(n * NODE, CONSTANTS)
-        inner = cho_solve_banded(factor, np.hstack([flat_border, node_right.reshape(n * NODE, -1)]))
-        over, plain = inner[:, :CONSTANTS], inner[:, CONSTANTS:]
-        c = np.linalg.solve(self.corner - flat_border.T @ over, constant_right - flat_border.T @ plain)
-        return (plain - over @ c).reshape(n, NODE, -1), c
+        n, border, free = len(self.diagonal), self._free_border, self.free
+        inner = cho_solve_banded((self._factor, True), np.hstack([border, node_right.reshape(n * NODE, -1)]))
+        over, plain = inner[:, : len(free)], inner[:, len(free) :]
+        c = np.zeros_like(constant_right)
+        c[free] = np.linalg.solve(self._free_corner - border.T @ over, constant_right[free] - border.T @ plain)
+        return (plain - over @ c[free]).reshape(n, NODE, -1), c
 
     @property
     def log_determinant(self) -> float:
-        """Log of the determinant of the whole matrix, nodes and constants."""
-        flat_border = self.border.reshape(-1, CONSTANTS)
-        inner = self.corner - flat_border.T @ cho_solve_banded((self._factor, True), flat_border)
+        """Log of the determinant of the whole matrix, nodes and free constants."""
+        inner = self._free_corner - self._free_border.T @ cho_solve_banded((self._factor, True), self._free_border)
         return 2.0 * float(np.log(self._factor[0]).sum()) + float(np.linalg.slogdet(inner)[1])
+
+    @property
+    def _free_border(self) -> Array:
+        return self.border.reshape(-1, CONSTANTS)[:, self.free]
+
+    @property
+    def _free_corner(self) -> Array:
+        return self.corner[np.ix_(self.free, self.free)]
 
     @cached_property
     def _factor(self) -> Array:
@@ -305,7 +328,7 @@ class _NormalEquations:
 
 
 def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _NormalEquations:
-    normal = _NormalEquations(len(state.t))
+    normal = _NormalEquations(len(state.t), sd)
     between = state.interval_motion(imu)
     _add_inertial(normal, imu, between, state)
     _add_velocity(normal, imu.dt, between, aiding, state)
@@ -352,6 +375,19 @@ def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMo
     normal.beside -= np.swapaxes(weighted, 1, 2)
     normal.right[:-1] -= (weighted.swapaxes(1, 2) @ defect[:, :, None])[:, :, 0]
     normal.right[1:] += weight * defect
+    normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
+    constants = normal.free[normal.free >= GYRO.start]
+    if not len(constants):
+        return
+    b = _by_unit_constants(imu, between, matrix)[:, :, constants - GYRO.start]
+    weighted_b = b * weight[:, :, None]
+    normal.border[:-1, :, constants] += f.swapaxes(1, 2) @ weighted_b
+    normal.border[1:, :, constants] -= weighted_b
+    normal.add_constants(constants, b, -defect, weight)
+
+
+def _by_unit_constants(imu: Increments, between: IntervalMotion, matrix: Array) -> Array:
+    """How the constants of the inertial unit, from `GYRO` on, change the next node's state, (K, 12, 27)."""
     turned = between.turn.as_rotvec()
     b = np.zeros((len(matrix), NODE, CONSTANTS))
     for i in range(3):
@@ -360,15 +396,9 @@ def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMo
     b[:, 3:6, ACCEL_SCALE] = -matrix * between.velocity[:, None, :]
     for j, power in enumerate(_drift_regressors(imu).T):
         own = slice(3 * j, 3 * j + 3)
-        b[:, :3, GYRO_DRIFT][:, :, own] = -dt * power[:, None, None] * np.eye(3)
-        b[:, 3:6, ACCEL_DRIFT][:, :, own] = -dt * power[:, None, None] * matrix
-    weighted_b = b * weight[:, :, None]
-    normal.border[:-1] += f.swapaxes(1, 2) @ weighted_b
-    normal.border[1:] -= weighted_b
-    rows = weighted_b.reshape(-1, CONSTANTS)
-    normal.corner += rows.T @ b.reshape(-1, CONSTANTS)
-    normal.right_constants -= rows.T @ defect.reshape(-1)
-    normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
+        b[:, :3, GYRO_DRIFT][:, :, own] = -imu.dt * power[:, None, None] * np.eye(3)
+        b[:, 3:6, ACCEL_DRIFT][:, :, own] = -imu.dt * power[:, None, None] * matrix
+    return b[:, :, GYRO.start :]
 
 
 def _add_velocity(
@@ -378,11 +408,9 @@ def _add_velocity(
     here = state.attitude[node]
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
-    by_node = np.zeros((len(node), 3, NODE))
-    by_node[:, :, 3:6] = np.eye(3)
-    by_constant = np.zeros((len(node), 3, CONSTANTS))
-    by_constant[:, :, LATE_GPS] = -acceleration
-    normal.observe(node, by_node, by_constant, residual, _weights(residual, state.velocity_sd))
+    by_velocity = np.broadcast_to(np.eye(3), (len(node), 3, 3))
+    late, weight = np.array([LATE_GPS]), _weights(residual, state.velocity_sd)
+    normal.observe(node, _VELOCITY, by_velocity, late, -acceleration[:, :, None], residual, weight)
     normal.velocity_residual = residual
 
 
@@ -393,9 +421,7 @@ def _add_field(
     ideal, iron = body_from_ned.apply(state.earth), state.soft_iron
     offset, per_ampere = state.constants[OFFSET], state.constants[PER_AMPERE]
     residual = aiding.mag - ideal @ iron - offset - aiding.current[:, None] * per_ampere
-    by_node = np.zeros((len(node), 3, NODE))
-    by_node[:, :, :3] = iron @ _cross(ideal)
-    by_constant = np.zeros((len(node), 3, CONSTANTS))
+    by_constant = np.zeros((len(node), 3, SOFT_IRON.stop))
     by_constant[:, :, OFFSET] = np.eye(3)
     by_constant[:, :, PER_AMPERE] = np.eye(3) * aiding.current[:, None, None]
     by_constant[:, :, EARTH] = iron @ body_from_ned.as_matrix()
@@ -403,7 +429,9 @@ def _add_field(
     by_constant[:, range(3), range(SOFT_IRON.start, SOFT_IRON.start + 3)] = ideal
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), SOFT_IRON.start + 3):
         by_constant[:, i, k], by_constant[:, j, k] = ideal[:, j], ideal[:, i]
-    normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, state.mag_sd)))
+    constants, weight = normal.free[normal.free < SOFT_IRON.stop], _weights(residual, np.full(3, state.mag_sd))
+    by_attitude = iron @ _cross(ideal)
+    normal.observe(node, _ATTITUDE, by_attitude, constants, by_constant[:, :, constants], residual, weight)
     normal.mag_residual = residual
 
 
@@ -417,10 +445,9 @@ def _add_truth(
 ) -> None:
     node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
-    by_node = np.zeros((len(node), 3, NODE))
-    by_node[:, :, :3] = np.eye(3)
-    by_constant = np.zeros((len(node), 3, CONSTANTS))
-    normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, TRUTH_SD)))
+    by_attitude, none = np.broadcast_to(np.eye(3), (len(node), 3, 3)), np.zeros(0, np.intp)
+    weight = _weights(residual, np.full(3, TRUTH_SD))
+    normal.observe(node, _ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)), residual, weight)
 
 
 def _attitudes(
@@ -463,14 +490,16 @@ def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[Trajecto
 
 def _standard_deviations(normal: _NormalEquations) -> tuple[float, Array]:
     """Standard deviations of roll, pitch and yaw, rad, as a median over nodes, and of the constants (44,)."""
-    n = len(normal.diagonal)
+    n, free = len(normal.diagonal), normal.free
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)
-    right = np.zeros((n, NODE, 24 + CONSTANTS))
+    right = np.zeros((n, NODE, 24 + len(free)))
     for i, node in enumerate(nodes):
         right[node, range(3), range(3 * i, 3 * i + 3)] = 1.0
-    solution, constants = normal.solved(right, np.hstack([np.zeros((CONSTANTS, 24)), np.eye(CONSTANTS)]))
+    solution, constants = normal.solved(right, np.hstack([np.zeros((CONSTANTS, 24)), np.eye(CONSTANTS)[:, free]]))
     variances = [solution[node, range(3), range(3 * i, 3 * i + 3)] for i, node in enumerate(nodes)]
-    return float(np.sqrt(np.median(variances))), np.sqrt(np.diag(constants[:, 24:]))
+    constants_sd = np.full(CONSTANTS, _NOTHING)
+    constants_sd[free] = np.sqrt(np.diag(constants[free, 24:]))
+    return float(np.sqrt(np.median(variances))), constants_sd
 
 
 def _cross(v: Array) -> Array:
