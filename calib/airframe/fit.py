@@ -311,18 +311,19 @@ class FlightLikelihood:
         return -0.5 * sum(float((np.log(s) + b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
 
     def bins(self, rows: Array) -> list[Array]:
-        """Cosine bins of each channel of (N, 6) or of a stack (P, N, 6)."""
-        clean = np.nan_to_num(rows)
-        found = [
-            dct(np.where(kept[:, None], clean[..., columns], 0.0), axis=-2, norm="ortho", overwrite_x=True)
-            for kept, columns in zip(self._rows, (slice(0, 6), slice(2, 3), slice(3, 6)), strict=True)
+        """Cosine bins of each channel of (N, 6). Most parameters move force or torque alone; the rest stays zero."""
+        channels = np.ascontiguousarray(np.nan_to_num(rows).T)
+        moved = channels.any(axis=1)
+        return [
+            dct(channels[v.column] * self._rows[v.rows], norm="ortho", overwrite_x=True)[v.picked]
+            if moved[v.column]
+            else np.zeros(len(v.picked))
+            for v in self._views
         ]
-        first = (0, 2, 3)
-        return [found[v.rows][..., v.picked, v.column - first[v.rows]] for v in self._views]
 
     @cached_property
-    def _free_bins(self) -> list[Array]:
-        return self.bins(self.airframe.free_signals)
+    def _free_bins(self) -> list[list[Array]]:
+        return list(map(self.bins, self.airframe.free_signals))
 
     def residual(self, theta: Array) -> Array:
         """Measured minus predicted (N, 6)."""
@@ -335,8 +336,8 @@ class FlightLikelihood:
         first = len(theta) - len(self.airframe.free)
         for k in np.flatnonzero(free):
             if k >= first:
-                for out, found in zip(columns, self._free_bins, strict=True):
-                    out.append(found[k - first])
+                for out, found in zip(columns, self._free_bins[k - first], strict=True):
+                    out.append(found)
                 continue
             step = _step(self.airframe.layout.names[k])
             moved = theta.copy()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,14 @@ _PLAIN: Final = (
     "tau", "fall", "delay", "scale", "load", "rise",
 )  # fmt: skip
 _OF_THRUST: Final = ("delay", "tau", "fall", "expo", "sag")
-"""Parameters beside those of each motor that thrust depends on: for all others it is remembered."""
+_OF_ROTORS: Final = ("k", "c1", "cz", "climb", "wind_north", "wind_east")
+_OF_FORCE: Final = ("c2_x", "c2_y", "ch", "load")
+_OF_TORQUE: Final = ("torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "gain_x",
+                     "gain_y", "gain_z")  # fmt: skip
+"""What each step of a prediction depends on beside the step before it and, of thrust, on what each motor has: for all
+other parameters its result is remembered."""
+_REMEMBERED: Final = 2
+"""Results of a step that are kept: that of the point a derivative is taken at, and the latest beside it."""
 FORCE_ONLY: Final = frozenset(
     {
         "cz",
@@ -107,6 +114,23 @@ class Layout:
         return theta
 
 
+class _Step:
+    """One step of a prediction, its latest results kept by the parameters at `places`."""
+
+    def __init__(self, places: Sequence[int], compute: Callable[[Array], Any]) -> None:
+        self._places, self._compute = np.array(places), compute
+        self._results: dict[bytes, Any] = {}
+
+    def __call__(self, theta: Array) -> Any:
+        """Its result at a point."""
+        told = theta[self._places].tobytes()
+        found = self._results.pop(told) if told in self._results else self._compute(theta)
+        if len(self._results) >= _REMEMBERED:
+            del self._results[next(iter(self._results))]
+        self._results[told] = found  # the last one that was asked for is kept longest
+        return found
+
+
 @dataclass(frozen=True)
 class Kind:
     """What a family of vehicles or simulators does in its own way; common to both flights of a pair.
@@ -169,8 +193,12 @@ class Airframe:
         self._filters = {s: self._grid.butterworth(flight.cutoff_hz.get(s, 0.0)) for s in (Sensor.ACCEL, Sensor.GYRO)}
         place = self.layout.place
         each = [f"{n}_{i + 1}" for n in ("weak", "pulse") for i in range(self.layout.motors)]
-        self._of_thrust = np.array([place[n] for n in (*_OF_THRUST, *each)])
-        self._thrusts: dict[bytes, tuple[Array, Array, Array]] = {}
+        of_thrust = [place[n] for n in (*_OF_THRUST, *each)]
+        of_rotors = [*of_thrust, *(place[n] for n in _OF_ROTORS)]
+        self._thrusts = _Step(of_thrust, self._thrusts_of)
+        self._rotors = _Step(of_rotors, self._rotors_of)
+        self._force = _Step([*of_rotors, *(place[n] for n in _OF_FORCE)], self._force_of)
+        self._torque = _Step([*of_rotors, *(place[n] for n in _OF_TORQUE)], self._torque_of)
         self._air: tuple[float, float, Array] | None = None
         self._commanded = self._grid.spectrum(flight.c if slew is None else _limited(flight, slew))
 
@@ -224,15 +252,9 @@ class Airframe:
 
     def predicted(self, theta: Array) -> tuple[Array, Array]:
         """Force and torque (N, 3) as the filtered sensors would show them."""
-        thrust, turning, spinning = self.thrusts(theta)
-        rotors = self._rotors(theta, thrust)
-        force, torque = self._force(theta, rotors), self._torque(theta, thrust, turning, spinning, rotors)
-        load = theta[self.layout.place["load"]]
-        if load:
-            force = force / (1.0 + load * self._loaded)[:, None]
-        force = self._grid.through(force, self._filters[Sensor.ACCEL]) + self._at_unit(theta)
+        force = self._force(theta) + self._at_unit(theta)
         force = force + theta[self.layout.place["scale"]] * (force + np.array([0.0, 0.0, self.flight.gravity]))
-        torque = self._grid.through(torque, self._filters[Sensor.GYRO]) + self._by_rates(theta)
+        torque = self._torque(theta) + self._by_rates(theta)
         nameless = theta[len(theta) - len(self.free) :]
         if nameless.any():
             beyond = np.tensordot(nameless, self.free_signals, axes=1)
@@ -241,13 +263,8 @@ class Airframe:
 
     def thrusts(self, theta: Array) -> tuple[Array, Array, Array]:
         """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
-        told = theta[self._of_thrust].tobytes()
-        if told not in self._thrusts:
-            if len(self._thrusts) > 1:
-                del self._thrusts[next(iter(self._thrusts))]
-            self._thrusts[told] = self._thrusts_of(theta)
-        self._thrusts[told] = self._thrusts.pop(told)  # the last one that was asked for is kept longest
-        return self._thrusts[told]
+        found: tuple[Array, Array, Array] = self._thrusts(theta)
+        return found
 
     def _thrusts_of(self, theta: Array) -> tuple[Array, Array, Array]:
         of = self._of(theta)
@@ -287,9 +304,9 @@ class Airframe:
             self._air = north, east, np.asarray(np.einsum("nij,nj->ni", self.body_from_local, moving))
         return self._air[2]
 
-    def _rotors(self, theta: Array, thrust: Array) -> tuple[Array, Array, Array]:
+    def _rotors_of(self, theta: Array) -> tuple[Array, Array, Array]:
         """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""
-        of = self._of(theta)
+        of, thrust = self._of(theta), self.thrusts(theta)[0]
         k, v, n = of("k"), self.air_velocity(theta), self.layout.motors
         drive = self._drive(thrust, k)
         across = (-of("c1") / n) * drive
@@ -307,12 +324,15 @@ class Airframe:
             return np.ones_like(thrust)
         return np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))
 
-    def _force(self, theta: Array, rotors: tuple[Array, Array, Array]) -> Array:
-        of, v = self._of(theta), self.air_velocity(theta)
+    def _force_of(self, theta: Array) -> Array:
+        """Force of rotors and body (N, 3), filtered as the accelerometer is."""
+        of, v, rotors = self._of(theta), self.air_velocity(theta), self._rotors(theta)
         of_body = np.array([of("c2_x"), of("c2_y"), 0.5 * (of("c2_x") + of("c2_y"))])
         f = np.column_stack([each.sum(axis=1) for each in rotors]) - of_body * v * np.abs(v)
         f[:, 2] -= of("ch") * (v[:, 0] ** 2 + v[:, 1] ** 2)
-        return np.asarray(f)
+        if load := of("load"):
+            f /= (1.0 + load * self._loaded)[:, None]
+        return self._grid.through(f, self._filters[Sensor.ACCEL])
 
     def _at_unit(self, theta: Array) -> Array:
         """What the unit's place and its offsets add: from the measured rates, which are filtered already."""
@@ -322,10 +342,10 @@ class Airframe:
         turn = np.cross(self.flight.acceleration, lever) + np.cross(w, np.cross(w, lever))
         return np.asarray(turn + np.array([of(f"bias_{a}") for a in AXES]))
 
-    def _torque(
-        self, theta: Array, thrust: Array, turning: Array, spinning: Array, rotors: tuple[Array, Array, Array]
-    ) -> Array:
-        of, v = self._of(theta), self.air_velocity(theta)
+    def _torque_of(self, theta: Array) -> Array:
+        """Torque of the rotors (N, 3), filtered as the gyroscope is."""
+        of, v, rotors = self._of(theta), self.air_velocity(theta), self._rotors(theta)
+        thrust, turning, spinning = self.thrusts(theta)
         n, k, lever = self.layout.motors, of("k"), self._lever
         x, y = self._x - of("cg_x"), self._y - of("cg_y")
         # mass by inertia of an axis is its gain by k; a flat body has I_z = I_x + I_y
@@ -337,7 +357,7 @@ class Airframe:
         yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
         yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
         yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
-        return np.column_stack([roll, pitch, yaw])
+        return self._grid.through(np.column_stack([roll, pitch, yaw]), self._filters[Sensor.GYRO])
 
     def _by_rates(self, theta: Array) -> Array:
         """A rotor's thrust falls with the square of its inflow: the faster it is, the more a turn takes off it."""
