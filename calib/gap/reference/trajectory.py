@@ -58,6 +58,10 @@ deg/s and 2 % of gravity, larger than calibrated units have."""
 TRUTH_SD = np.radians(0.05)
 """Standard deviation of a simulator's attitude: that of the moment at which it was written. Chosen, not measured: 0.05
 degrees are 0.5 ms at 100 deg/s."""
+_UNDETERMINED = 1.0
+"""Radians within which the first attitude stays where it is, if nothing determines it: a heading without a compass, at
+rest. Chosen, not measured: a radian leaves all of it open, and without it the equations have no solution.
+"""
 _CAUTION = 3.0
 """By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent. Chosen,
 not measured: errors of a receiver last for some ten samples, and three is the root of it."""
@@ -340,6 +344,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, s
     normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
     normal.right[0, 6:] -= prior * bias
+    normal.diagonal[0, range(3), range(3)] += 1.0 / _UNDETERMINED**2
     off = _prior_constants(aiding) - state.constants
     normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / sd**2
     normal.right_constants += off / sd**2

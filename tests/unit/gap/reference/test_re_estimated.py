@@ -208,7 +208,7 @@ def test_the_determinant_is_that_of_the_whole_matrix():
         for j in range(n):
             if abs(i - j) > 1:
                 whole[i * NODE : (i + 1) * NODE, j * NODE : (j + 1) * NODE] = 0.0
-    normal = _NormalEquations(n)
+    normal = _NormalEquations(n, np.ones(CONSTANTS))
     for i in range(n):
         own = slice(i * NODE, (i + 1) * NODE)
         normal.diagonal[i], normal.border[i] = whole[own, own], whole[own, n * NODE :]
