@@ -313,7 +313,7 @@ class FlightLikelihood:
     def bins(self, rows: Array) -> list[Array]:
         """Cosine bins of each channel of (N, 6). Most parameters move force or torque alone; the rest stays zero."""
         channels = np.ascontiguousarray(np.nan_to_num(rows).T)
-        moved = channels.any(axis=1)
+        moved = [bool(channel.any()) for channel in channels]
         return [
             dct(channels[v.column] * self._rows[v.rows], norm="ortho", overwrite_x=True)[v.picked]
             if moved[v.column]

@@ -225,8 +225,7 @@ def _stable_answer(task: _Setup, chosen: ChosenModel, alpha: float, named: Colle
     if wander is None:
         chosen = without_drift_noise(chosen, start, contest, alpha)
     else:
-        chosen, contest = wander.chosen, wander.contest
-        start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
+        chosen, contest, start = wander.chosen, wander.contest, wander.start
     found = stable_model(chosen, contest, alpha)
     best = with_shapes(found.chosen, contest, start, alpha, named)
     found = stable_model(best.chosen, best.contest, alpha, found)

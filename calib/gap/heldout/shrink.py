@@ -284,8 +284,13 @@ def _unexplained_per_number(model: Model) -> float:
 
 
 def _loss_of_selection_without(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
-    """Loss of the held-out block under a selection on the others."""
-    promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _CANDIDATE_CHANCE}
+    """Loss of the held-out block under a selection on the others, among effects of the sensors that have one."""
+    sensors = {term.hypothesis.effect.sensor for term in chosen.model.members}
+    promising = {
+        s.hypothesis.key
+        for s in (*chosen.first, *chosen.scores)
+        if s.p < _CANDIDATE_CHANCE and (s.hypothesis.effect.sensor in sensors or s.hypothesis.effect.shared)
+    }
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:

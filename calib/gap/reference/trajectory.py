@@ -242,6 +242,15 @@ def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
     return sd
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Measured less predicted (M, 3) at `node` (M,), which must be sorted; `weight` (M, 3) are inverse variances."""
+
+    node: NDArray[np.intp]
+    residual: Array
+    weight: Array
+
+
 class _NormalEquations:
     """Banded normal equations with a border: diagonal blocks (n, 12, 12), blocks beside them, border, corner.
 
@@ -261,29 +270,22 @@ class _NormalEquations:
         self.mag_residual = np.zeros((0, 3))
 
     def observe(
-        self,
-        node: NDArray[np.intp],
-        part: slice,
-        by_part: Array,
-        constants: NDArray[np.intp],
-        by_constant: Array,
-        residual: Array,
-        weight: Array,
+        self, rows: _Rows, part: slice, by_part: Array, constants: NDArray[np.intp], by_constant: Array
     ) -> None:
-        """Rows ``residual = by_part x + by_constant c + noise`` (M, 3), with `weight` (M, 3) their inverse variances.
+        """Rows ``residual = by_part x + by_constant c + noise``, (M, 3).
 
-        They see only `part` of a node's state, three numbers, and the `constants` (p,). `node` (M,) must be sorted.
+        They see only `part` of a node's state, three numbers, and the `constants` (p,).
         """
-        turned = (by_part * weight[:, :, None]).swapaxes(1, 2)
-        firsts = np.flatnonzero(np.diff(node, prepend=-1))
-        seen = node[firsts]
+        turned = (by_part * rows.weight[:, :, None]).swapaxes(1, 2)
+        firsts = np.flatnonzero(np.diff(rows.node, prepend=-1))
+        seen = rows.node[firsts]
         self.diagonal[seen, part, part] += np.add.reduceat(turned @ by_part, firsts)
-        self.right[seen, part] += np.add.reduceat((turned @ residual[:, :, None])[:, :, 0], firsts)
-        self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
+        self.right[seen, part] += np.add.reduceat((turned @ rows.residual[:, :, None])[:, :, 0], firsts)
+        self.cost += float((rows.weight * rows.residual**2).sum() - np.log(np.maximum(rows.weight, 1e-12)).sum())
         if len(constants):
             states = np.arange(part.start, part.stop)
             self.border[np.ix_(seen, states, constants)] += np.add.reduceat(turned @ by_constant, firsts)
-            self.add_constants(constants, by_constant, residual, weight)
+            self.add_constants(constants, by_constant, rows.residual, rows.weight)
 
     def add_constants(self, constants: NDArray[np.intp], by_constant: Array, residual: Array, weight: Array) -> None:
         """Rows ``residual = by_constant c + noise`` (M, r), of the `constants` (p,) alone."""
@@ -414,8 +416,8 @@ def _add_velocity(
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
     by_velocity = np.broadcast_to(np.eye(3), (len(node), 3, 3))
-    late, weight = np.array([LATE_GPS]), _weights(residual, state.velocity_sd)
-    normal.observe(node, _VELOCITY, by_velocity, late, -acceleration[:, :, None], residual, weight)
+    rows = _Rows(node, residual, _weights(residual, state.velocity_sd))
+    normal.observe(rows, _VELOCITY, by_velocity, np.array([LATE_GPS]), -acceleration[:, :, None])
     normal.velocity_residual = residual
 
 
@@ -434,9 +436,9 @@ def _add_field(
     by_constant[:, range(3), range(SOFT_IRON.start, SOFT_IRON.start + 3)] = ideal
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), SOFT_IRON.start + 3):
         by_constant[:, i, k], by_constant[:, j, k] = ideal[:, j], ideal[:, i]
-    constants, weight = normal.free[normal.free < SOFT_IRON.stop], _weights(residual, np.full(3, state.mag_sd))
-    by_attitude = iron @ _cross(ideal)
-    normal.observe(node, _ATTITUDE, by_attitude, constants, by_constant[:, :, constants], residual, weight)
+    constants = normal.free[normal.free < SOFT_IRON.stop]
+    rows = _Rows(node, residual, _weights(residual, np.full(3, state.mag_sd)))
+    normal.observe(rows, _ATTITUDE, iron @ _cross(ideal), constants, by_constant[:, :, constants])
     normal.mag_residual = residual
 
 
@@ -451,8 +453,8 @@ def _add_truth(
     node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
     by_attitude, none = np.broadcast_to(np.eye(3), (len(node), 3, 3)), np.zeros(0, np.intp)
-    weight = _weights(residual, np.full(3, TRUTH_SD))
-    normal.observe(node, _ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)), residual, weight)
+    rows = _Rows(node, residual, _weights(residual, np.full(3, TRUTH_SD)))
+    normal.observe(rows, _ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)))
 
 
 def _attitudes(

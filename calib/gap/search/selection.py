@@ -50,7 +50,10 @@ Gains = Mapping[Key, tuple[float, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class ChosenModel:
-    """A fitted model, its covariance, the scores of its terms when they entered, and the number of tests."""
+    """A fitted model, its covariance, the scores of its terms when they entered, and the number of tests.
+
+    `first` are the scores of all hypotheses against `start`, the model without an effect.
+    """
 
     model: Model
     joint: Joint
@@ -58,7 +61,7 @@ class ChosenModel:
     scores: tuple[ContestScore, ...]
     tests: int
     first: tuple[ContestScore, ...]
-    """Scores of all hypotheses against no effect at all."""
+    start: Model
 
 
 def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
@@ -86,7 +89,7 @@ def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) 
     return refined(noise.model, members, hold=hold)[0]
 
 
-def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
+def select(start: Model, contest: Contest, alpha: float, earlier: ChosenModel | None = None) -> ChosenModel:
     """The effects that the data show.
 
     Drift noise can replace any slow effects on the mean, even two at once. It is therefore excluded at first, then
@@ -100,22 +103,23 @@ def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
         Everything that competes.
     alpha
         Chance that any of the tests fires without a gap.
+    earlier
+        Of another contest; from the same start its first scores hold here too.
     """
     candidates = contest.hypotheses
     steady = [h for h in candidates if not h.effect.drifts]
     tests = sum(not h.again for h in candidates)
     level = alpha / max(tests, 1)
     model, joint, noise = jointly_fitted(start)
-    first = tuple(_candidate_scores(model, contest, candidates, {}, None).values())
-    bare = ChosenModel(model, joint, noise, (), tests, first)
-    chosen = extended(bare, contest, level, steady)
-    if not contest.pace.ended:
-        chosen = extended(chosen, contest, level, candidates)
+    known = {s.hypothesis.key: s for s in earlier.first} if earlier is not None and earlier.start is start else {}
+    first = tuple(_candidate_scores(model, contest, candidates, known, set()).values())
+    bare = ChosenModel(model, joint, noise, (), tests, first, start)
+    chosen = extended(bare, contest, level, steady, later=[h for h in candidates if h.effect.drifts])
     if _undeclared_noise_is_slow(chosen.model) and not contest.pace.ends():
         quiet = _with_white_noise(model)
         scores = tuple(_candidate_scores(quiet, contest, steady, {}, None).values())
         chosen = _better_by_sensor(
-            chosen, extended(replace(bare, model=quiet, first=scores), contest, level, steady), contest
+            chosen, extended(replace(bare, model=quiet, first=scores, start=quiet), contest, level, steady), contest
         )
     if not (has_drift_noise(chosen) or _drift_is_best(first, level)) or contest.pace.ends():
         return chosen
@@ -183,7 +187,7 @@ def _merged_by_sensor(chosen: ChosenModel, other: ChosenModel, taken: Collection
         weight=tuple(m.weight[a] for a, m in enumerate(own)),
     )
     model, joint, fit = jointly_fitted(with_residual(mixed))
-    return ChosenModel(model, joint, fit, scores, chosen.tests, chosen.first)
+    return ChosenModel(model, joint, fit, scores, chosen.tests, chosen.first, chosen.start)
 
 
 def _is_on(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
@@ -201,15 +205,22 @@ def _drift_is_best(first: Sequence[ContestScore], level: float) -> bool:
 
 
 def extended(
-    chosen: ChosenModel, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None
+    chosen: ChosenModel,
+    contest: Contest,
+    level: float,
+    candidates: Sequence[Hypothesis] | None = None,
+    later: Sequence[Hypothesis] = (),
 ) -> ChosenModel:
-    """The model with every further effect that is significant at `level` a test and worth its price."""
+    """The model with every further effect that is significant at `level` a test and worth its price.
+
+    Those of `later` compete once nothing of `candidates` is left that is; None: the whole contest.
+    """
     candidates = contest.hypotheses if candidates is None else candidates
-    model, joined, first = chosen.model, list(chosen.scores), chosen.first
+    model, joined = chosen.model, list(chosen.scores)
     gains: Gains = {}
     if joined:  # what was exchanged may have made others superfluous
         model, joined, gains = pruned(model, contest, joined, level)
-    known = {} if joined else {s.hypothesis.key: s for s in first}
+    known = {} if joined else {s.hypothesis.key: s for s in chosen.first}
     scores = _candidate_scores(model, contest, candidates, known, None if joined else set())
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
@@ -217,6 +228,10 @@ def extended(
         # An event that waits for errors of other sensors to enter would spoil the noise of its own meanwhile.
         still = {key: s for key, s in scores.items() if s.hypothesis.effect.jumps} if full else scores
         best, trial = _best_candidate(still, level, gains, contest, model)
+        if best is None and later and not contest.pace.ends():
+            candidates, later = (*candidates, *later), ()
+            scores = _candidate_scores(model, contest, candidates, scores if joined else known | scores, set())
+            continue
         if best is None or contest.pace.ends():
             break
         contest.pace.advance()
@@ -231,7 +246,7 @@ def extended(
         step += 1
     model, joined = _without_second_order(model, joined, gains)
     model, joint, noise = jointly_fitted(model)
-    return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
+    return replace(chosen, model=model, joint=joint, noise=noise, scores=tuple(joined))
 
 
 def with_score(model: Model, score: ContestScore) -> Model:

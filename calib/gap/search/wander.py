@@ -52,8 +52,8 @@ refined afterwards."""
 class WanderFit:
     """A model with a wandering reference, on averages of samples, and its contest.
 
-    `gain` is its advantage; `size_deg` and `time_s` are rms and correlation time of the process. `noise` includes the
-    part of the process above its last cosine.
+    `gain` is its advantage; `size_deg` and `time_s` are rms and correlation time of the process. `start` is the model
+    without an effect; its noise includes the part of the process above its last cosine.
     """
 
     chosen: ChosenModel
@@ -61,7 +61,7 @@ class WanderFit:
     gain: float
     size_deg: float
     time_s: float
-    noise: tuple[AxisNoise, ...]
+    start: Model
 
 
 def sees_attitude(view: View) -> bool:
@@ -100,10 +100,10 @@ def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float
     contest = Contest(candidates, thresholds=contest.thresholds, pace=contest.pace)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), time_span(setting))
-    noise = with_tail(setting, start.noise, size, time)
-    found = select(starting_model(setting, noise, ridge), contest, alpha)
+    start = starting_model(setting, with_tail(setting, start.noise, size, time), ridge)
+    found = select(start, contest, alpha)
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return WanderFit(found, contest, better, size, time, noise) if better > 0.0 else None
+    return WanderFit(found, contest, better, size, time, start) if better > 0.0 else None
 
 
 def _process_in_place_of_effects(chosen: ChosenModel) -> tuple[_ProcessFit, float]:

@@ -100,7 +100,8 @@ def with_shapes(
     if strong:
         level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
         everything = contest.restricted_to((*contest.hypotheses, *likely.values()))
-        other = min((select(start, rivals, level), extended(chosen, everything, alpha / tests)), key=objective)
+        anew = select(start, rivals, level, chosen)
+        other = min((anew, extended(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
             return ShapeSearch(other, rivals)
     return ShapeSearch(chosen, rivals)

@@ -172,7 +172,7 @@ def exchanged(seed, size, kinds=("bias", "scale")):
         scores.append(contest.score(hypothesis, Projection(model)))
         model = with_score(model, scores[-1])
     model, joint, noise = jointly_fitted(model)
-    return ChosenModel(model, joint, noise, tuple(scores), len(kinds), ()), contest
+    return ChosenModel(model, joint, noise, tuple(scores), len(kinds), (), model), contest
 
 
 def members(chosen):

@@ -138,7 +138,7 @@ def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ()
     assert level_mismatch(right, right.terms[0]).max() < 0.03
     assert level_mismatch(wrong, wrong.terms[0])[0] == pytest.approx(0.3, abs=0.03)
     start = dataclasses.replace(wrong, terms=())
-    chosen = ChosenModel(wrong, _joint(wrong), FittedNoise(start, {}), (), 1, ())
+    chosen = ChosenModel(wrong, _joint(wrong), FittedNoise(start, {}), (), 1, (), start)
     errors = [p.se for p in estimates_of(chosen, wrong.terms[0])]
     assert errors[0] == pytest.approx(0.3, abs=0.03)
     assert max(errors[1:3]) < 0.02
