@@ -13,8 +13,8 @@ import click
 from mavcal.service.commands.gap_close import command as close
 from mavcal.service.commands.gap_options import (
     LIMIT_S,
-    FiniteRange,
     Gauge,
+    NumberRange,
     layout_option,
     mass_option,
     sim_frame_option,
@@ -85,7 +85,7 @@ WIDTH = 80
 )
 @click.option(
     "--limit-s",
-    type=FiniteRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     default=LIMIT_S,
     show_default=True,
     metavar="SECONDS",

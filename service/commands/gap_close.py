@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.gap_options import LIMIT_S, FiniteRange, Line, layout_option, mass_option, sim_frame_option
+from mavcal.service.commands.gap_options import (
+    LIMIT_S,
+    FiniteRange,
+    Line,
+    NumberRange,
+    layout_option,
+    mass_option,
+    sim_frame_option,
+)
 from mavcal.service.commands.output import (
     EXIT_NO,
     EXIT_PART,
@@ -84,11 +92,11 @@ _PAGE = "diagnosis.html"
 @click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write the rounds as HTML.")
 @click.option(
     "--limit-s",
-    type=FiniteRange(min=0.0, min_open=True),
+    type=NumberRange(min=0.0, min_open=True),
     default=LIMIT_S,
     show_default=True,
     metavar="SECONDS",
-    help="Processor time of each diagnosis.",
+    help="Processor time of each diagnosis; inf: as long as it takes.",
 )
 @reading_options
 @json_option

@@ -26,13 +26,24 @@ _WIDTH = 78
 """Columns of the line."""
 
 
-class FiniteRange(click.FloatRange):
-    """A number of a range that is neither infinite nor none."""
+class NumberRange(click.FloatRange):
+    """A number of a range; infinity may be one, nan is none."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The number, or a sentence why not."""
         number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
+        if math.isnan(number):
+            self.fail(f"{value} is no number", param, ctx)
+        return number
+
+
+class FiniteRange(NumberRange):
+    """A number of a range that is not infinite either."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a sentence why not."""
+        number = super().convert(value, param, ctx)
+        if math.isinf(number):
             self.fail(f"{value} is no finite number", param, ctx)
         return number
 

@@ -235,6 +235,10 @@ def test_the_exit_code_says_whether_anything_was_tested(diagnosed, found, code):
     assert result.stdout.startswith(f"{found.verdict.value}: ")
 
 
+def test_a_diagnosis_may_take_as_long_as_it_takes(diagnosed):
+    assert diagnosed(report(), "--limit-s", "inf")[1]["limit"] == float("inf")
+
+
 def test_json_has_the_report_and_what_was_exported_and_the_page_is_written(diagnosed, tmp_path, monkeypatch):
     monkeypatch.setattr("mavcal.calib.gap_report.gap_to_html", lambda _, title: f"<h1>{title}</h1>")
     page, remedy = tmp_path / "a.html", tmp_path / "a.parm"
