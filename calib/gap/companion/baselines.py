@@ -191,13 +191,16 @@ measured: a tenth is small beside the effect itself."""
 class SimulatedBaseline:
     """Effects that a simulated flight shows against its own ideal reading, and the `reference` of that comparison.
 
-    `effects` are expected in another flight too; all that were `found` measure how far two flights differ. By sensor:
-    `gains` of the largest effect; `changes` of the ideal reading by all effects, as a sum of squares; `movement`, the
-    variance of the ideal reading; `accepted_difference`, the gain below which no effect was searched for.
+    `effects` are expected in another flight too. The flight's `own` ones may be errors of its reference; another flight
+    has others. `uncertain` ones, those that are expected and those that fit noise, measure how far two flights differ.
+    By sensor: `gains` of the largest of them; `changes` of the ideal reading by all of them, as a sum of squares;
+    `movement`, the variance of the ideal reading; `accepted_difference`, the gain below which no effect was searched
+    for.
     """
 
     effects: tuple[EffectEstimate, ...]
-    found: tuple[EffectEstimate, ...]
+    own: tuple[EffectEstimate, ...]
+    uncertain: tuple[EffectEstimate, ...]
     gains: Mapping[Sensor, float]
     changes: Mapping[Sensor, float]
     movement: Mapping[Sensor, float]
@@ -206,7 +209,7 @@ class SimulatedBaseline:
 
     def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
         """Traces of the simulator with its effects in the ideal reading: the residual is its noise."""
-        return with_effects_in(traces, self.effects)[0]
+        return with_effects_in(traces, self.own)[0]
 
 
 def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | None = None) -> SimulatedBaseline:
@@ -220,12 +223,16 @@ def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | Non
         problem, alpha, GainThresholds(MinimumGain(small, small, small, small, drift_entry=small)), pace=pace
     )
     largest = {t.sensor: 0.0 for t in problem.traces}
-    for one in found.found:
+    for one in (*found.supported, *found.doubted):
         for sensor in one.sensors:
             largest[sensor] = max(largest[sensor], one.gain)
-    effects, every = (tuple(one.effect for one in which) for which in (found.supported, found.found))
-    changes = _squared_changes(problem, every)
-    return SimulatedBaseline(effects, every, largest, changes, _movement_variance(problem), small, problem.reference)
+    effects, own, doubted = (
+        tuple(one.effect for one in which) for which in (found.supported, found.own, found.doubted)
+    )
+    uncertain = (*effects, *doubted)
+    changes = _squared_changes(problem, uncertain)
+    moves = _movement_variance(problem)
+    return SimulatedBaseline(effects, own, uncertain, largest, changes, moves, small, problem.reference)
 
 
 def _without_learned_noise(trace: Trace) -> Trace:
@@ -238,7 +245,7 @@ def _without_learned_noise(trace: Trace) -> Trace:
 def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) -> GapProblem:
     """`problem` with the effects of the simulated flight in the ideal reading, and with the minimum gains to match."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    livelier = _squared_changes(problem, baseline.found)
+    livelier = _squared_changes(problem, baseline.uncertain)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
     own = {s: _nuisance_gain(problem, baseline, livelier, s) for s in small}
     moves = _movement_variance(problem)

@@ -37,6 +37,7 @@ _TINY = 1e-30
 class SteadyEffect:
     """An effect, its gain beside all others, and the sensors on which it acts."""
 
+    key: Key
     effect: EffectEstimate
     gain: float
     sensors: tuple[Sensor, ...]
@@ -44,10 +45,15 @@ class SteadyEffect:
 
 @dataclass(frozen=True, eq=False)
 class SteadyEffects:
-    """Effects `found` in a flight, and those that are `supported`: expected in another flight too."""
+    """Effects that a flight shows.
 
-    found: tuple[SteadyEffect, ...] = ()
+    Its `own` ones may be errors of its reference, of which another flight has others; those that are `supported` are
+    expected there too. Those that are `doubted` fit noise.
+    """
+
+    own: tuple[SteadyEffect, ...] = ()
     supported: tuple[SteadyEffect, ...] = ()
+    doubted: tuple[SteadyEffect, ...] = ()
 
 
 @one_diagnosis()
@@ -67,9 +73,13 @@ def steady_effects(
     contest = Contest(hypotheses, thresholds=thresholds, pace=pace)
     chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     chosen = refitted_without(chosen, _below_minimum(chosen, contest))
-    found = _estimated(chosen, contest)
-    doubted = _unsupported(chosen)
-    return SteadyEffects(found, _estimated(refitted_without(chosen, doubted), contest) if doubted else found)
+    noise = _further_from_ideal(chosen.model)
+    doubted = tuple(e for e in _estimated(chosen, contest) if e.key in noise)
+    of_reference = below_reference(chosen.model, chosen.joint, REFERENCE_CHANCE)
+    own = refitted_without(chosen, noise) if noise else chosen
+    left = frozenset(of_reference) - frozenset(noise)
+    supported = refitted_without(own, left) if left else own
+    return SteadyEffects(_estimated(own, contest), _estimated(supported, contest), doubted)
 
 
 def _estimated(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...]:
@@ -83,7 +93,7 @@ def _estimated(chosen: ChosenModel, contest: Contest) -> tuple[SteadyEffect, ...
         estimate = EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence)
         views = chosen.model.setting.views
         seen = dict.fromkeys(v.sensor for v in views if effect.shared or v.sensor is effect.sensor)
-        found.append(SteadyEffect(estimate, gain, tuple(seen)))
+        found.append(SteadyEffect(term.hypothesis.key, estimate, gain, tuple(seen)))
     return tuple(found)
 
 
@@ -98,20 +108,18 @@ def _below_minimum(chosen: ChosenModel, contest: Contest) -> list[Key]:
     return small
 
 
-def _unsupported(chosen: ChosenModel) -> list[Key]:
-    """Effects that the reference's own error explains, or that move the readings further from the ideal ones.
+def _further_from_ideal(model: Model) -> list[Key]:
+    """Effects that move the readings further from the ideal ones.
 
-    In another flight with other movement they would put into the ideal reading what no sensor has. The second kind fits
-    noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow.
+    They fit noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow. In
+    another flight with other movement they would put into the ideal reading what no sensor has.
     """
-    model = chosen.model
     left = _normalised_residual(model)
-    further = [
+    return [
         t.hypothesis.key
         for t in model.terms
         if left > _FURTHER_RATIO * _normalised_residual(without_effect(model, t.hypothesis.key))
     ]
-    return [*dict.fromkeys([*below_reference(model, chosen.joint, REFERENCE_CHANCE), *further])]
 
 
 def _normalised_residual(model: Model) -> float:

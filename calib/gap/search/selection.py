@@ -147,9 +147,12 @@ def _with_white_noise(model: Model) -> Model:
 
 
 def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
-    """`other` if its objective is materially better: by sensor, unless shared effects or the reference tie them."""
+    """`other` if its objective is materially better: by sensor, unless shared effects or the reference tie them.
+
+    Drift noise in the place of an effect on the mean also has to gain beyond it what drift noise has to gain by itself.
+    """
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
-        worth = prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest)
+        worth = max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), _entry_of_drifts(other, contest))
         return other if objective(other) < objective(chosen) - worth else chosen
     skirts = {
         t.hypothesis.effect.sensor
@@ -161,9 +164,17 @@ def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest)
     part = prices.FLIGHT_SECOND_ORDER_SHARE if has_learned_spectrum(chosen.model) else prices.SECOND_ORDER_SHARE
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
         worth = part * max((gains[h.key][0] for h in named if h.effect.sensor is sensor), default=0.0)
+        if any(h.effect.sensor is sensor for h in named):
+            worth = max(worth, _entry_of_drifts(other, contest, sensor))
         if _sensor_objective(other, sensor) < _sensor_objective(chosen, sensor) - worth:
             taken.add(sensor)
     return _merged_by_sensor(chosen, other, taken) if taken else chosen
+
+
+def _entry_of_drifts(chosen: ChosenModel, contest: Contest, sensor: Sensor | None = None) -> float:
+    """Gain that the drift noise of a model needs to enter one; of `sensor` only, if given."""
+    drifts = (t.hypothesis for t in chosen.model.noise_terms if t.hypothesis.effect.drifts)
+    return max((contest.thresholds.to_enter(h) for h in drifts if sensor in (None, h.effect.sensor)), default=0.0)
 
 
 def _sensor_objective(chosen: ChosenModel, sensor: Sensor) -> float:
@@ -306,7 +317,7 @@ def _best_candidate(
             for s in scores.values()
             if s.p < level
             and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _second_order_limit(s.hypothesis, model, gains)
-            and s.gain >= contest.thresholds.to_enter(s.hypothesis)
+            and (s.gain >= contest.thresholds.to_enter(s.hypothesis) or _is_hidden_by_noise(s, model))
         ]
         if not good:
             return None, None
@@ -314,39 +325,48 @@ def _best_candidate(
         most = prices.CANDIDATES_FITTED
         place, unsure = next(((k, s) for k, s in enumerate(ranked) if not s.sure), (most, None))
         if unsure is None or place >= most:
-            return _best_after_refit(ranked, model)
+            return _best_after_refit(ranked, contest, model)
         beside = beside or Projection(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
 
-def _best_after_refit(ranked: Sequence[ContestScore], model: Model) -> tuple[ContestScore, Model | None]:
-    """The best score; if gains are large, the best of several after the noise was fitted with each.
+def _is_hidden_by_noise(score: ContestScore, model: Model) -> bool:
+    """Whether the fitted noise holds so much of an effect that its gain says little of its worth."""
+    size = sum(3 * view.count for view in model.setting.views if score.hypothesis.touches(view))
+    return score.gain >= prices.HIDING_GAIN * size
+
+
+def _best_after_refit(
+    ranked: Sequence[ContestScore], contest: Contest, model: Model
+) -> tuple[ContestScore | None, Model | None]:
+    """The best score; if noise hides effects of its sensor, the best of several after the noise was fitted with each.
 
     A large gap is part of the noise as long as nothing explains it: beside a bias of a hundred standard deviations a
-    misalignment gains next to nothing.
+    misalignment gains next to nothing, and the bias no more than there are samples. None if then none may enter.
     """
     best = ranked[0]
-    size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
-    if best.gain < prices.HIDING_GAIN * size:
+    own = [s for s in ranked if s.hypothesis.effect.sensor is best.hypothesis.effect.sensor]
+    hidden = {s.hypothesis.key for s in own if _is_hidden_by_noise(s, model)}
+    if not hidden:
         return best, None
     rivals: dict[str, ContestScore] = {}
-    for score in ranked:
-        if (
-            score.delta > prices.RIVAL_SHARE * best.delta
-            and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor
-        ):
+    for score in own:
+        if score.delta > prices.RIVAL_SHARE * best.delta or score.hypothesis.key in hidden:
             rivals.setdefault(score.hypothesis.effect.id, score)
     tried = list(rivals.values())[: prices.RIVALS_TRIED]
     touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
     near = sorted(coupled_sensors(model, touched))
+    before = sum(noise_fitted(model, near).deviance.values())
     worth, least = None, math.inf
     for score in tried:
         trial = locally_fitted(with_score(model, score), score.hypothesis)
-        level = sum(noise_fitted(trial, near).deviance.values()) + score.price  # of -2 log L
+        left = sum(noise_fitted(trial, near).deviance.values())
+        if max(score.gain, before - left) < contest.thresholds.to_enter(score.hypothesis):
+            continue
+        level = left + score.price  # of -2 log L
         if worth is None or level < least:
             worth, least = (score, trial), level
-    assert worth is not None
-    return worth
+    return (None, None) if worth is None else worth
 
 
 def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:

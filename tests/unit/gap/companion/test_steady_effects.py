@@ -42,5 +42,5 @@ def test_an_effect_that_takes_the_readings_further_away_is_not_carried():
     measured = slow + 0.4 * fast + 5e-4 * rng.standard_normal(trace.ideal.shape)
     blurred = dataclasses.replace(trace, ideal=slow + fast, measured=measured, sigma=None)
     found = steady_effects(dataclasses.replace(plain, traces=(blurred,)), ALPHA, GainThresholds(FEW))
-    assert "accel_scale" in [one.effect.id for one in found.found]
+    assert "accel_scale" in [one.effect.id for one in found.doubted]
     assert "accel_scale" not in [one.effect.id for one in found.supported]
