@@ -24,8 +24,10 @@ from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
-_ATTITUDE, _VELOCITY, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Where they are in the state of a node."""
+GYRO_BIAS = slice(6, 9)
+"""Where it is in the state of a node."""
+_ATTITUDE, _VELOCITY = slice(0, 3), slice(3, 6)
+"""The same of these. Source: the order of :data:`NODE`."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)

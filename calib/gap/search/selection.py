@@ -6,7 +6,7 @@ After every step all parameters and the noise are fitted again, and effects that
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -307,25 +307,22 @@ def _best_candidate(
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
 
-    def hidden(score: ContestScore) -> bool:
-        return not score.hypothesis.periodic and (wandering or score.hypothesis.effect.sensor in undeclared)
+    def least(score: ContestScore) -> float:
+        hypothesis = score.hypothesis
+        absorbed = not hypothesis.periodic and (wandering or hypothesis.effect.sensor in undeclared)
+        part = 0.0 if absorbed else prices.ENTRY_SHARE
+        return max(part * _second_order_limit(hypothesis, model, gains), contest.thresholds.to_enter(hypothesis))
 
     beside: Projection | None = None
     while True:
-        good = [
-            s
-            for s in scores.values()
-            if s.p < level
-            and s.gain >= (0.0 if hidden(s) else prices.ENTRY_SHARE) * _second_order_limit(s.hypothesis, model, gains)
-            and (s.gain >= contest.thresholds.to_enter(s.hypothesis) or _is_hidden_by_noise(s, model))
-        ]
+        good = [s for s in scores.values() if s.p < level and (s.gain >= least(s) or _is_hidden_by_noise(s, model))]
         if not good:
             return None, None
         ranked = sorted(good, key=lambda s: -s.delta)
         most = prices.CANDIDATES_FITTED
         place, unsure = next(((k, s) for k, s in enumerate(ranked) if not s.sure), (most, None))
         if unsure is None or place >= most:
-            return _best_after_refit(ranked, contest, model)
+            return _best_after_refit(ranked, least, model)
         beside = beside or Projection(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
@@ -337,12 +334,12 @@ def _is_hidden_by_noise(score: ContestScore, model: Model) -> bool:
 
 
 def _best_after_refit(
-    ranked: Sequence[ContestScore], contest: Contest, model: Model
+    ranked: Sequence[ContestScore], least_gain: Callable[[ContestScore], float], model: Model
 ) -> tuple[ContestScore | None, Model | None]:
     """The best score; if noise hides effects of its sensor, the best of several after the noise was fitted with each.
 
     A large gap is part of the noise as long as nothing explains it: beside a bias of a hundred standard deviations a
-    misalignment gains next to nothing, and the bias no more than there are samples. None if then none may enter.
+    misalignment gains next to nothing, and the bias no more than there are samples. None if none gains enough then.
     """
     best = ranked[0]
     own = [s for s in ranked if s.hypothesis.effect.sensor is best.hypothesis.effect.sensor]
@@ -361,7 +358,7 @@ def _best_after_refit(
     for score in tried:
         trial = locally_fitted(with_score(model, score), score.hypothesis)
         left = sum(noise_fitted(trial, near).deviance.values())
-        if max(score.gain, before - left) < contest.thresholds.to_enter(score.hypothesis):
+        if max(score.gain, before - left) < least_gain(score):
             continue
         level = left + score.price  # of -2 log L
         if worth is None or level < least:
