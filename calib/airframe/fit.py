@@ -206,6 +206,7 @@ class FlightLikelihood:
             fast = np.flatnonzero((hz >= SLOW_HZ) & (hz <= self._highest(Sensor.GYRO)))
             self._views += [_View(k, 2, fast) for k in range(3, 6)]
             self._views += [_View(k, 0, np.flatnonzero(hz < SLOW_HZ)) for k in range(3, 6)]
+        self._views = [v for v in self._views if self._rows[v.rows].any()]  # a flight may not lift off anew, or turn
         self._measured = np.hstack(airframe.measured)
 
     def _highest(self, sensor: Sensor) -> float:

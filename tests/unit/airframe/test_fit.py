@@ -216,3 +216,12 @@ def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyon
     assert free.value(name) == pytest.approx(end)
     best = likelihood.loglik(held.theta, held.spectra)
     assert likelihood.loglik(free.theta, held.spectra) == pytest.approx(best, abs=1.0)
+
+
+def test_a_flight_that_never_stands_out_from_its_usual_commands_is_fitted_all_the_same() -> None:
+    """Then there is no row in which fast forces or torques are judged."""
+    usual = 0.5 + 0.01 * np.sign(np.sin(9.0 * np.arange(N) / HZ))[:, None] * np.ones((1, 4))
+    one = replace(flew(0), c=usual)
+    assert not any(rows.any() for rows in excited(one))
+    found = by_itself(FlightLikelihood(airframe(one, kind=KIND), one.usable, torque=True))
+    assert np.isfinite(found).all()
