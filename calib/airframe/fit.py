@@ -206,7 +206,6 @@ class FlightLikelihood:
             fast = np.flatnonzero((hz >= SLOW_HZ) & (hz <= self._highest(Sensor.GYRO)))
             self._views += [_View(k, 2, fast) for k in range(3, 6)]
             self._views += [_View(k, 0, np.flatnonzero(hz < SLOW_HZ)) for k in range(3, 6)]
-        self._views = [v for v in self._views if self._rows[v.rows].any()]  # a flight may not lift off anew, or turn
         self._measured = np.hstack(airframe.measured)
 
     def _highest(self, sensor: Sensor) -> float:
@@ -377,7 +376,7 @@ def fitted(
         bins = likelihood.bins(likelihood.residual(theta))
         # a misfit at the start would pass for noise of its own spectrum, and stay
         white = white and turn < _WHITE_ROUNDS
-        spectra = [np.full(len(b), float((b**2).mean())) for b in bins] if white else spectra_of(bins)
+        spectra = [_white(b**2) for b in bins] if white else spectra_of(bins)
         columns = likelihood.jacobian(theta, free)
         curvature, gradient = _normal(columns, bins, spectra)
         penalty = 1.0 / sd[free] ** 2
@@ -466,6 +465,11 @@ def expanded(likelihood: FlightLikelihood, theta: Array, free: Mask, spectra: li
 def spectra_of(bins: list[Array]) -> list[Array]:
     """Variance of every bin, averaged over its neighbours in proportion to the frequency."""
     return [_smooth(b**2) for b in bins]
+
+
+def _white(power: Array) -> Array:
+    """The mean everywhere; of a view without rows, which is zero, next to nothing."""
+    return np.full(len(power), max(float(power.mean()), 1e-300))
 
 
 def _smooth(power: Array) -> Array:
