@@ -8,11 +8,12 @@ PX4 logs the commands of its allocation; the curve of ``THR_MDL_FAC`` lies betwe
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from mavcal.calib.airframe.answer import Geometry
 from mavcal.calib.airframe.geometry import mixer_factors
@@ -25,6 +26,9 @@ PWM_SPAN_US: Final = 1000.0
 AGREES_US: Final = 5.0
 """Median difference from the logged outputs, us, up to which a rebuilt mixer is believed. Chosen, not measured: half a
 per cent of the range; two simulated flights had 0.5 us."""
+_WHOLE_US: Final = 1.0
+"""The same, up to which nothing else is tried, and a fitted density is believed. Source: outputs are logged in whole
+microseconds."""
 _LEAST_CHECKED: Final = 50
 """Logged outputs below which a rebuilt mixer is not checked, and not believed. Chosen, not measured: five seconds."""
 _AT_LIMIT: Final = 1e-3
@@ -104,13 +108,23 @@ def _rebuilt(
         return None
     if len(logged.t) < _LEAST_CHECKED:
         return None
-    best = None
-    for density in _densities(recording, parameters):
-        made = _mixed(control, mixer, parameters, geometry, density)
-        check = _difference_us(made, logged, parameters)
-        if best is None or check < best.check_us:  # type: ignore[operator]
-            best = MotorCommands(made.t, made.c, made.limited, "rate_mixer", check)
-    return best if best is not None and best.check_us is not None and best.check_us <= AGREES_US else None
+
+    def made(density: float) -> MotorCommands:
+        mixed = _mixed(control, mixer, parameters, geometry, density)
+        return replace(mixed, check_us=_difference_us(mixed, logged, parameters))
+
+    found = min(map(made, _densities(recording)), key=_apart)
+    if _apart(found) > _WHOLE_US:
+        # until ArduPilot 4.5 the density goes with the temperature of the barometer at the start
+        nearest = minimize_scalar(lambda density: _apart(made(density)), bounds=_DENSITY, method="bounded")
+        fitted = made(float(nearest.x))
+        found = fitted if _apart(fitted) <= _WHOLE_US else found  # a fit could hide another error
+    return found if _apart(found) <= AGREES_US else None
+
+
+def _apart(commands: MotorCommands) -> float:
+    """How far rebuilt commands are from logged outputs, us."""
+    return np.inf if commands.check_us is None else commands.check_us
 
 
 def _dynamic(recording: Recording, sensor: Sensor) -> Channel | None:
@@ -118,7 +132,7 @@ def _dynamic(recording: Recording, sensor: Sensor) -> Channel | None:
     return max(found, key=len) if found else None
 
 
-def _densities(recording: Recording, parameters: Mapping[str, float]) -> tuple[float, ...]:
+def _densities(recording: Recording) -> tuple[float, ...]:
     """Density ratios that the mixer may have corrected for: none, or that of the standard atmosphere at the place."""
     places = recording.find(Sensor.POSITION)
     if not places:
