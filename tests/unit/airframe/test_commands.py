@@ -18,6 +18,10 @@ PARAMETERS = {
 }  # fmt: skip
 
 
+ALTERNATELY = np.array([1.0, -1.0, 1.0, -1.0])
+"""An error of the outputs that no density of the air explains."""
+
+
 def pulses(inputs: np.ndarray, lift: float, volt: float, expo: float, density: float) -> tuple[np.ndarray, np.ndarray]:
     """Commands and pulses, us: the formulas of AIRFRAME 3.1 step by step."""
     out, pwm = [], []
@@ -58,7 +62,7 @@ def flown(
     inputs = usual if inputs is None else inputs
     c, pwm = pulses(inputs, lift, volt, expo, density)
     rows = slice(None, None, 40)
-    logged = (np.floor(pwm[rows]) + off_us - 1100.0) / 800.0
+    logged = (np.floor(pwm[rows]) + off_us * ALTERNATELY - 1100.0) / 800.0
     channels = [stream(Sensor.MOTOR, t[rows], logged, source="RCOU", stage=Stage.RAW)]
     if altitude is not None:
         place = np.tile([0.0, 0.0, altitude], (len(t[rows]), 1))
@@ -103,7 +107,7 @@ def test_outputs_that_deny_the_mixer_are_believed(off_us: float, source: str) ->
     if source == "rcou":
         assert found.rate_hz == pytest.approx(10.0)
         assert found.check_us is None
-        np.testing.assert_allclose(found.c, known[::40] + off_us / 640.0, atol=1.01 / 640.0)
+        np.testing.assert_allclose(found.c, known[::40] + off_us * ALTERNATELY / 640.0, atol=1.01 / 640.0)
 
 
 def test_a_mixer_of_another_frame_is_not_believed() -> None:
