@@ -38,7 +38,6 @@ def emit(document: Document) -> dict[str, str]:
             "Answer",
         ),
         "problems.py": _problems(document),
-        "answers.py": _answers(document),
         "waiting.py": _waiting(asynchronous),
         "waiting_transport.py": _waiting_transport(),
         "asynchronous.py": asynchronous,
@@ -139,19 +138,6 @@ def _problems(document: Document) -> str:
 # --- operations
 
 
-def _answers(document: Document) -> str:
-    shapes = {_shape(o.answer) for o in document.operations if o.answer is not None and not o.plain}
-    used = sorted({name for shape in shapes for name in re.findall(r"\b[A-Z]\w+\b", shape)})
-    lines = _head("How answers are read, by their shape.", "from mavcal.client.base import Reader")
-    for module, known in _modules(document).items():
-        if chosen := sorted(known & set(used)):
-            lines.append(f"from mavcal.client.{module} import {', '.join(chosen)}")
-    lines.append("")
-    for shape in sorted(shapes):
-        lines.append(f"{_adapter(shape)}: Reader[{shape}] = Reader({shape})")
-    return _text(lines)
-
-
 def _modules(document: Document) -> dict[str, set[str]]:
     """Which module has which types."""
     models, requests, events = set(document.models()), document.requests(), document.events()
@@ -196,7 +182,6 @@ def _client(document: Document) -> str:
     imports.append(f"from collections.abc import {', '.join(sorted(kinds))}")
     if chosen := sorted(used & {"Any", "Literal"}):
         imports.append(f"from typing import {', '.join(chosen)}")
-    imports.append("from mavcal.client import answers")
     if "Number" in used:
         imports.append("from mavcal.client.base import Number")
     enums = {"enums": set(document.enums())}
@@ -224,14 +209,14 @@ def _method(operation: Operation) -> list[str]:
     path = re.sub(r"\{(\w+)\}", r"{segment(\1)}", operation.path)
     call = [f'{"f" if "{" in path else ""}"{path}"', *_further(operation)]
     if operation.stream:
-        call.insert(1, f"answers.{_adapter(_shape(operation.answer))}")
+        call.insert(1, _answer_type(operation))
         return [*lines, f"        return self._follow({', '.join(call)})"]
     call.insert(0, f'"{operation.method}"')
     if operation.answer is None:
         return [*lines, f"        await self._text({', '.join(call)})"]
     if operation.plain:
         return [*lines, f"        return await self._text({', '.join(call)})"]
-    call.insert(2, f"answers.{_adapter(_shape(operation.answer))}")
+    call.insert(2, told)
     return [*lines, f"        return await self._ask({', '.join(call)})"]
 
 
@@ -260,19 +245,7 @@ def _argument(parameter: Parameter) -> str:
 def _answer_type(operation: Operation) -> str:
     if operation.answer is None:
         return "None"
-    return "str" if operation.plain else _shape(operation.answer)
-
-
-def _shape(schema: Mapping[str, Any] | None) -> str:
-    return _type(schema or {})
-
-
-def _adapter(shape: str) -> str:
-    """A name for a shape: ``JOB_SUMMARY_LIST``."""
-    word = re.search(r"[A-Z]\w+", shape)
-    assert word is not None, shape
-    name = re.sub(r"(?<!^)(?=[A-Z])", "_", word.group()).upper()
-    return f"{name}_LIST" if shape.startswith("list") else name
+    return "str" if operation.plain else _type(operation.answer)
 
 
 # --- text
