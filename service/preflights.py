@@ -37,7 +37,7 @@ from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS

@@ -19,7 +19,8 @@ from mavcal.calib.firmware.stream.rates import BY_INSTANCE
 from mavcal.calib.preflight.rest import LEAST
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
-from mavcal.calib.wire import Frame, decode
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.frames import Frame
 
 VIBRATION = dialect.MAVLINK_MSG_ID_VIBRATION
 SYS_STATUS = dialect.MAVLINK_MSG_ID_SYS_STATUS

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.context import ProcedureContext

@@ -17,7 +17,7 @@ import numpy as np
 from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.firmware.storable import INERTIAL
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.imu import fit_imu
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.accel import EXTRA, AccelProcedure

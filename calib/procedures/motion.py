@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavcal.calib.gyro import LARGEST_BIAS
+from mavcal.calib.gyro.rest import LARGEST_BIAS
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.recording import Array, Sensor
 

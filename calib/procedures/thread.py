@@ -17,7 +17,7 @@ import numpy as np
 from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.gyro import fit_thread
+from mavcal.calib.gyro.thread import fit_thread
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor

@@ -13,7 +13,8 @@ import numpy as np
 from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
-from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
+from mavcal.calib.gyro.rest import PLAUSIBLE_BIAS
+from mavcal.calib.gyro.turntable import fit_turntable
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor

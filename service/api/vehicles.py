@@ -38,9 +38,9 @@ from mavcal.service.fixing import Fix, Fixable, fixed
 from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
 from mavcal.service.live import LiveBatch, live_batches
 from mavcal.service.rates.watching import LiveStatus
-from mavcal.service.vehicle import Vehicle
 from mavcal.service.vehicle.job_vehicle import JobVehicle
 from mavcal.service.vehicle.rate_ledger import LiveWatch
+from mavcal.service.vehicle.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
 

@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.logs.missions import LANDINGS, LoggedMission, MissionItem, Place, durations, moved
-from mavcal.calib.wire import Message
+from mavcal.calib.logs.missions.course import Place, durations, moved
+from mavcal.calib.logs.missions.items import LANDINGS, LoggedMission, MissionItem
+from mavcal.calib.wire.codec import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.conversation import HINT, TRY_S, Conversation
 from mavcal.service.closing.errors import MissionLeft, MissionRefused, SimulatorUnarmed

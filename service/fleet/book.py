@@ -17,8 +17,8 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.preflights import Preflight
 from mavcal.service.store.rows import UnitRow
 from mavcal.service.store.sql import Store
-from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 log = structlog.get_logger(__name__)
 

@@ -26,8 +26,8 @@ from mavcal.service.link_registry import LinkRegistry, link_id_of
 from mavcal.service.settings import Settings
 from mavcal.service.store.rows import EventRow, JobRow
 from mavcal.service.store.sql import Store
-from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 log = structlog.get_logger(__name__)
 

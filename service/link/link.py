@@ -12,7 +12,8 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message, RawMessage, raw_message, signing_time
+from mavcal.calib.wire.codec import Message, RawMessage, raw_message
+from mavcal.calib.wire.signing import signing_time
 from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message
+from mavcal.calib.wire.codec import Message
 from mavcal.service.errors import VehicleArmed, VehicleBusy, VehicleConflict, VehicleError, VehicleSilent
 from mavcal.service.vehicle.texts import ChunkedText, StatusText, add_chunk
 

@@ -13,13 +13,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.logs.missions import LoggedMission, MissionItem, Place, read_mission, with_take_off
+from mavcal.calib.logs.missions.course import Place, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.reading import read_mission
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import MissionLeft, MissionRefused
 from mavcal.service.closing.follower import Follower, Upload
 from mavcal.service.closing.link import VehicleLink
 from mavcal.service.closing.logged import LogMission
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of
 from mavcal.service.simvehicle.flight.ground import GroundLink

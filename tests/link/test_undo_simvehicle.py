@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware import Assembler, Undo, requested_streams, undo
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage, join
-from mavcal.calib.wire import Frame, FrameParser, encode
+from mavcal.calib.wire.codec import encode
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import FlightController

@@ -23,7 +23,8 @@ from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
 from mavcal.calib.procedures.registry import load_libraries, specification
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.errors import (
     CaptureEnded,
     CommandRefused,

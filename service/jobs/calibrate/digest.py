@@ -30,7 +30,7 @@ from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, replay, specification
 from mavcal.calib.recording import Identity, ParameterEntry, Recording, Sensor
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
 from mavcal.service.jobs.core.model import LogSpan
 from mavcal.service.jobs.core.segments import content_of

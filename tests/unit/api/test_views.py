@@ -14,7 +14,9 @@ from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.recording import Channel, Sensor, Stage
-from mavcal.calib.review import Criterion, MountingChoice, SensorEffect, StatedMounting
+from mavcal.calib.review.criteria import Criterion
+from mavcal.calib.review.effect import SensorEffect
+from mavcal.calib.review.mountings import MountingChoice, StatedMounting
 from mavcal.service.api import vehicles
 from mavcal.service.api.views import (
     event_model,

@@ -15,7 +15,8 @@ from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware import calibration_changes, undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.wire import RawMessage, encode, tlog_record
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.tlog import tlog_record
 from tests.examples import examples
 
 
