@@ -32,7 +32,7 @@ from mavcal.calib.preflight.collect import (
     without_words,
 )
 from mavcal.calib.preflight.installed import STREAMED, announced
-from mavcal.calib.preflight.readings import RestReading, rest_readings
+from mavcal.calib.preflight.rest import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, stated_device_ids

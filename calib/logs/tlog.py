@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role, ardupilot_imu_names
 from mavcal.calib.firmware.stream.announcements import AUTOPILOTS
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import INERTIAL
-from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, Recording, Sensor
 from mavcal.calib.wire.codec import decode
 from mavcal.calib.wire.tlog import TlogReader

@@ -24,7 +24,7 @@ from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.options import Key
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import without_row
-from mavcal.calib.firmware.stream.rates import Assembler
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step

@@ -16,8 +16,9 @@ from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.plan import Movement, Value, Verification, WritePlan
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
-from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.restore import sensors_at_rest
 from mavcal.calib.procedures.poses import TEXTS, WEIGHTLESS, down, recognise
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep

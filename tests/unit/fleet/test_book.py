@@ -13,7 +13,7 @@ from mavcal.calib.firmware.plan import Agreement, Change, Fingerprint, Parameter
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.fleet.record import ObservationSource
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
-from mavcal.calib.preflight.readings import RestReading
+from mavcal.calib.preflight.rest import RestReading
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import StoreError, UnitUnknown

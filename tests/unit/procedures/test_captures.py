@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.earth import EarthField, earth_field
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp
