@@ -1,7 +1,7 @@
 """Specification of a procedure: its options, needs, goal, what it writes, and what it cannot represent.
 
 The specifications are the one place of these facts: the service validates options with them, a panel shows them, and
-``docs/procedures.md`` is generated from them (:mod:`calib.procedures.table`).
+``docs/procedures.md`` is generated from them (``scripts/procedures``).
 """
 
 from __future__ import annotations
