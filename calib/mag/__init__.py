@@ -6,7 +6,7 @@
     ellipsoid                         the full fit: moments (one pass) -> distance (orthogonal) -> robust (outliers)
     shape_fit                         its least squares, or averaged over how much soft iron the samples show
     running                           one pass with its covariance: recursive, mergeable, with forgetting
-    accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
+    accumulator  coverage             for a live procedure: the samples so far, what they are worth, where to turn next
     blur  blur_fit                    a compass that averages while it turns
     rings  align  gyro_aided          the mounting as well: turns about the vertical, accelerometer, gyroscope
     flight  motor  fixed_yaw          in flight, against the motors' currents, at one known heading

@@ -233,7 +233,6 @@ class GyroThreadProcedure(TickedProcedure):
         )
 
     def _end(self, fits: list[FitResult], reached: float) -> None:
-        self._dropped_rows()
         by = "a compass" if self._counted is None else "the operator"
         in_raw = [in_sensor(f, self._body[f.instance]) for f in fits]
         self._succeed(in_raw, f"the scale is known to {100.0 * reached:.3f} %; the turns were counted by {by}")
