@@ -155,10 +155,6 @@ class StillWatch:
         for reference in self._references.values():
             reference.clear()
 
-    def mean(self, instance: Instance) -> Array:
-        """Mean over the last seconds of the present run."""
-        return self._references[instance].mean
-
     def update(self, frame: TickChannels) -> StillnessVerdict:
         """Take a tick."""
         self.latest = {i: statistics(frame[i].values) for i in self._references if i in frame}
