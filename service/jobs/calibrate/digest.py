@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
 from mavcal.calib.firmware.compose.early_warnings import STREAMED_INSTANCES
@@ -213,8 +213,7 @@ def require_unchanged(kind: str, name: str, before: Value, after: Value) -> None
 def field_of(recording: Recording, at: float) -> EarthField | None:
     """The Earth's magnetic field at the first position that the vehicle reports; None: it reports none."""
     position = next((c for c in recording.channels if c.sensor == Sensor.POSITION and len(c)), None)
-    when = datetime.fromtimestamp(at, UTC)
-    year = when.year + (when.timetuple().tm_yday - 1) / 365.25
+    year = decimal_year(datetime.fromtimestamp(at, UTC))
     for latitude, longitude, altitude in () if position is None else position.values:
         if latitude or longitude:  # (0, 0) is "no fix"
             with suppress(InvalidInputError):
