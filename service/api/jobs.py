@@ -17,8 +17,7 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.dependencies import ServiceDep, relative
 from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary, UnfinishedModel
 from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest, ReviewModel
 from mavcal.service.api.models.steps import ProcedureModel

@@ -19,8 +19,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
 from mavcal.calib.recording import Channel, Recording
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.dependencies import ServiceDep, relative
 from mavcal.service.api.models.jobs import JobModel
 from mavcal.service.api.models.live import LiveModel, SamplesModel, WatchModel, WatchRequest
 from mavcal.service.api.models.preflight import PreflightModel, PreflightRequest, RestoreRequest
