@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
-from mavcal.calib.mag.result import refusal
+from mavcal.calib.mag.result import MagContext, MagFacts, refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import weakened_information, white_variance, widened_scatter
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -68,7 +67,7 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 4.
     **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Raises
     ------

@@ -26,9 +26,9 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import without_row
 from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.values import shown
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, replay, specification
+from mavcal.calib.procedures.spec import OperatorAnswer, ProcedureContext
 from mavcal.calib.recording import Identity, ParameterEntry, Recording, Sensor
 from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded

@@ -11,9 +11,9 @@ import pytest
 from mavcal.calib import report
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, ProcedureError
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import PROCEDURES, create, replay, specification, validate_options
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Event, Identity, Recording, Sensor
 from mavcal.service.commands.calibrate import KINDS
 from scripts.procedures import markdown

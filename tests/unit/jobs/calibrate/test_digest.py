@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import OperatorAnswer
 from mavcal.calib.procedures.protocol import GaveUp, Step
 from mavcal.calib.procedures.registry import validate_options
+from mavcal.calib.procedures.spec import OperatorAnswer
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.wire.codec import encode, raw_message
 from mavcal.calib.wire.frames import Frame, FrameParser
