@@ -56,7 +56,7 @@ class AtRest:
         self._q = q
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         return np.tile(self._q, (len(t), 1)), np.zeros((len(t), 3))
 
 
@@ -70,7 +70,7 @@ class Tremor:
         self._size = rms_rad * math.sqrt(2.0 / TREMOR_TONES)
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         tau = t - self._start
         arg = self._omega[None] * tau[:, None, None] + self._phase[None]
         wave = self._size * np.sin(arg).sum(axis=2)
@@ -104,7 +104,7 @@ class AttitudeChange:
         self._vector = vector_from_quaternion(multiply(conjugate(q_from), q_to))
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         x = np.clip((t - self._start) / self._duration, 0.0, 1.0)
         s = x**3 * (10 - 15 * x + 6 * x * x)
         s_rate = 30 * x * x * (1 - x) ** 2 / self._duration
@@ -131,7 +131,7 @@ class TurntableTurn:
         self._q, self._start, self._omega = q, start, axis * rate
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         elapsed, speed = _ramped(t - self._start)
         return multiply(self._q, quaternion_from_vector(elapsed[:, None] * self._omega)), speed[:, None] * self._omega
 
@@ -147,7 +147,7 @@ class WholeTurns:
         self._duration = angle / steady + RAMP_S
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         tau = np.clip(t - self._start, 0.0, self._duration)
         ahead, speed = _ramped(np.minimum(tau, self._duration - tau))
         elapsed = np.where(tau <= 0.5 * self._duration, ahead, self._duration - RAMP_S - ahead)
@@ -169,7 +169,7 @@ class Tumble:
         self._rates = rate * np.array(self.PROPORTIONS)
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         elapsed, speed = _ramped(t - self._start)
         omega = 2.0 * math.pi * SURGE_HZ
         speed = speed * (1.0 + SURGE * np.cos(omega * elapsed))
@@ -284,7 +284,7 @@ class ClockShifted:
         self._segment, self._elapsed = segment, elapsed
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         return self._segment.evaluate(t + self._elapsed)
 
 
