@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import keyword
 import re
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +59,20 @@ def _enums(document: Document) -> str:
 
 def _models(about: str, document: Document, names: list[str], beside: Mapping[str, list[str]], base: str) -> str:
     body: list[str] = []
+    shared = {union: _shared(document, union) for union in names if "oneOf" in document.schemas[union]}
+    bases = {member: union for union in shared for member in _members(document, union) if shared[union]}
+    written = set()
     for name in names:
-        body += ["", "", *_model(name, document.schemas[name], base)]
+        union = bases.get(name)
+        if union is not None and union not in written:
+            written.add(union)
+            body += ["", "", f"class Any{union}({base}):", f'    """What every {union} has."""', ""]
+            body += _fields(document.schemas[name], shared[union])
+        body += [
+            "",
+            "",
+            *_model(name, document.schemas[name], base if union is None else f"Any{union}", shared.get(union, ())),
+        ]
     used = set(re.findall(r"\b\w+\b", "\n".join(body)))
     imports = []
     if "Any" in used or "Annotated" in used or "Literal" in used:
@@ -74,13 +87,32 @@ def _models(about: str, document: Document, names: list[str], beside: Mapping[st
     return _text([*_head(about, *imports), *body])
 
 
-def _model(name: str, schema: Mapping[str, Any], base: str) -> list[str]:
+def _members(document: Document, union: str) -> list[str]:
+    """The models of which a union is one."""
+    return [option["$ref"].rsplit("/", 1)[1] for option in document.schemas[union]["oneOf"]]
+
+
+def _shared(document: Document, union: str) -> list[str]:
+    """The fields with which every model of a union begins, if there are two or more."""
+    schemas = [document.schemas[member] for member in _members(document, union)]
+    fields = zip(*(schema["properties"].items() for schema in schemas), strict=False)
+    found = [among[0][0] for among in itertools.takewhile(lambda among: all(f == among[0] for f in among), fields)]
+    return found if len(found) > 1 else []
+
+
+def _model(name: str, schema: Mapping[str, Any], base: str, inherited: Collection[str] = ()) -> list[str]:
     if "oneOf" in schema:
         return [f"{name} = {_type(schema)}", *_docstring(schema.get("description", f"One of {name}"), indent="")]
     lines = [f"class {name}({base}):", *_docstring(schema.get("description", name)), ""]
-    needed = schema.get("required", ())
-    for field, of_field in schema.get("properties", {}).items():
-        lines.append(f"    {field}: {_type(of_field)}{'' if field in needed else _default(of_field)}")
+    return lines + _fields(schema, [field for field in schema.get("properties", {}) if field not in inherited])
+
+
+def _fields(schema: Mapping[str, Any], fields: Iterable[str]) -> list[str]:
+    lines = []
+    for field in fields:
+        of_field = schema["properties"][field]
+        needed = field in schema.get("required", ())
+        lines.append(f"    {field}: {_type(of_field)}{'' if needed else _default(of_field)}")
         if "description" in of_field:
             lines += _docstring(of_field["description"])
     return lines
