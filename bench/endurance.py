@@ -23,7 +23,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bench.rows import Row, Section, machine, shown
 from bench.running import RunningService, service
-from mavcal.calib.wire import RawMessage, encode, raw_message
+from mavcal.calib.wire.codec import RawMessage, encode, raw_message
 from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 
 HOURS = 24

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from datetime import date
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,11 @@ class EarthField:
     def declination(self) -> float:
         """Angle from true north to the horizontal part, positive east, rad."""
         return math.atan2(float(self.north_east_down[1]), float(self.north_east_down[0]))
+
+
+def decimal_year(when: date) -> float:
+    """The year with its part that has passed by that day, as the magnetic model counts."""
+    return when.year + (when.timetuple().tm_yday - 1) / 365.25
 
 
 def earth_field(latitude: float, longitude: float, altitude: float, year: float) -> EarthField:

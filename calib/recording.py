@@ -192,9 +192,9 @@ class ParameterTimeline:
         return tuple(changed)
 
     @classmethod
-    def constant(cls, values: Mapping[str, float | int], t: float = -np.inf) -> ParameterTimeline:
+    def constant(cls, values: Mapping[str, float | int]) -> ParameterTimeline:
         """A timeline that holds `values` from the beginning to the end."""
-        return cls(tuple(ParameterEntry(t, n, v) for n, v in values.items()), end_observed=True)
+        return cls(tuple(ParameterEntry(-np.inf, n, v) for n, v in values.items()), end_observed=True)
 
 
 class Oddity(StrEnum):

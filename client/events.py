@@ -20,14 +20,19 @@ class AnswerData(Answer):
     value: str
 
 
-class AnswerEvent(Answer):
-    """The operator answered a prompt."""
+class AnyJobEvent(Answer):
+    """What every JobEvent has."""
 
     job_id: str
     sequence: int
     """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
+
+
+class AnswerEvent(AnyJobEvent):
+    """The operator answered a prompt."""
+
     kind: Literal["answer"]
     data: AnswerData
 
@@ -46,14 +51,9 @@ class ItemData(Answer):
     """The job that was begun for it."""
 
 
-class ItemEvent(Answer):
+class ItemEvent(AnyJobEvent):
     """An item of the campaign has ended."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["item"]
     data: ItemData
 
@@ -65,14 +65,9 @@ class StateData(Answer):
     outcome: OutcomeModel | None
 
 
-class StateEvent(Answer):
+class StateEvent(AnyJobEvent):
     """The job has come to another state."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["state"]
     data: StateData
 
@@ -81,27 +76,17 @@ class Nothing(Answer):
     """An empty object."""
 
 
-class PromptEvent(Answer):
+class PromptEvent(AnyJobEvent):
     """The operator is asked to do something else, or nothing more."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["prompt"]
     data: PromptModel | Nothing
     """An empty object: nothing is asked any more."""
 
 
-class ProgressEvent(Answer):
+class ProgressEvent(AnyJobEvent):
     """How far the job is."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["progress"]
     data: ProgressModel
 
@@ -112,26 +97,16 @@ class WarningData(Answer):
     text: str
 
 
-class WarningEvent(Answer):
+class WarningEvent(AnyJobEvent):
     """The job has one warning more."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["warning"]
     data: WarningData
 
 
-class SegmentsEvent(Answer):
+class SegmentsEvent(AnyJobEvent):
     """The recording of the job is closed."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["segments"]
     data: Nothing
 
@@ -143,14 +118,9 @@ class SetAsideData(Answer):
     """Spans of the recording."""
 
 
-class SetAsideEvent(Answer):
+class SetAsideEvent(AnyJobEvent):
     """What was recorded so far is not used: the vehicle was disturbed, and the capture begins again."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["set_aside"]
     data: SetAsideData
 
@@ -161,14 +131,9 @@ class VehicleData(Answer):
     id: str
 
 
-class JobVehicleEvent(Answer):
+class JobVehicleEvent(AnyJobEvent):
     """The vehicle of an interrupted write, which has no unique id, is heard on another link and named by that."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["vehicle"]
     data: VehicleData
 
@@ -179,26 +144,16 @@ class PlanData(Answer):
     sha256: str
 
 
-class PlanEvent(Answer):
+class PlanEvent(AnyJobEvent):
     """The job was planned again."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["plan"]
     data: PlanData
 
 
-class WriteEvent(Answer):
+class WriteEvent(AnyJobEvent):
     """A write has ended."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["write"]
     data: WriteModel
 
@@ -210,14 +165,9 @@ class VerificationData(Answer):
     proof: ProofLevel
 
 
-class VerificationEvent(Answer):
+class VerificationEvent(AnyJobEvent):
     """The stream was checked after the write."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["verification"]
     data: VerificationData
 
@@ -228,26 +178,16 @@ class StandingData(Answer):
     note: str
 
 
-class StandingEvent(Answer):
+class StandingEvent(AnyJobEvent):
     """What was known of the parameters of an interrupted write is not certain any more."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["standing"]
     data: StandingData
 
 
-class ReadinessEvent(Answer):
+class ReadinessEvent(AnyJobEvent):
     """The vehicle was looked at after a write."""
 
-    job_id: str
-    sequence: int
-    """Number among the events of this job, from 1."""
-    at: Number
-    """Wall-clock time, s since 1970."""
     kind: Literal["readiness"]
     data: VehicleReadinessModel
 

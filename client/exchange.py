@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from types import UnionType
 from typing import Any, TypeVar
 from urllib.parse import quote
 
 import httpx
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from mavcal.client.base import Reader
 from mavcal.client.errors import ApiProblem, UnexpectedAnswer, Unreachable
 from mavcal.client.problems import PROBLEMS
 
@@ -75,22 +75,32 @@ def problem_of(status: int, content: bytes) -> ApiProblem:
     return PROBLEMS.get(str(document.get("code")), ApiProblem)(status, document)
 
 
-def read_answer(reader: Reader[T], content: bytes) -> T:
+def _adapter(shape: Any) -> TypeAdapter[Any]:
+    """What reads answers of one shape; made at the first one: a program needs few of all shapes."""
+    return _ADAPTERS.get(shape) or _ADAPTERS.setdefault(shape, TypeAdapter(shape))
+
+
+_ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
+
+
+def read_answer(shape: type[T], content: bytes) -> T:
     """An answer of the service. Raises UnexpectedAnswer."""
     try:
-        return reader.adapter.validate_json(content)
+        answer: T = _adapter(shape).validate_json(content)
     except ValidationError as error:
         raise UnexpectedAnswer(f"the answer is not as this version of the client knows it: {error}") from error
+    return answer
 
 
-def read_message(reader: Reader[T], message: Mapping[str, Any]) -> T | None:
+def read_message(shape: type[T] | UnionType, message: Mapping[str, Any]) -> T | None:
     """The message; None: it is of a kind that a newer service has added, and is passed over."""
     try:
-        return reader.adapter.validate_python(message)
+        read: T = _adapter(shape).validate_python(message)
     except ValidationError as error:
         if all(fault["type"] == "union_tag_invalid" for fault in error.errors()):
             return None
         raise UnexpectedAnswer(f"the message is not as this version of the client knows it: {error}") from error
+    return read
 
 
 def unreachable(error: Exception) -> Unreachable:

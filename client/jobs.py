@@ -85,13 +85,18 @@ class UnprovedModel(Answer):
     why: str
 
 
-class FailureModel(Answer):
-    """The job did not reach its goal."""
+class AnyOutcomeModel(Answer):
+    """What every OutcomeModel has."""
 
     proof: ProofLevel
     """How much of what shows on a stream the stream has proved after the write."""
     proof_reason: str
     unproved: list[UnprovedModel]
+
+
+class FailureModel(AnyOutcomeModel):
+    """The job did not reach its goal."""
+
     kind: Literal["failure"]
     code: str
     cause: str
@@ -269,24 +274,16 @@ class PromptModel(Answer):
     """Null: the vehicle is heard."""
 
 
-class ResultModel(Answer):
+class ResultModel(AnyOutcomeModel):
     """The job reached its goal."""
 
-    proof: ProofLevel
-    """How much of what shows on a stream the stream has proved after the write."""
-    proof_reason: str
-    unproved: list[UnprovedModel]
     kind: Literal["result"]
     text: str
 
 
-class WriteFailedModel(Answer):
+class WriteFailedModel(AnyOutcomeModel):
     """The plan that was accepted could not be written. Nothing was sent, and the job is in review again."""
 
-    proof: ProofLevel
-    """How much of what shows on a stream the stream has proved after the write."""
-    proof_reason: str
-    unproved: list[UnprovedModel]
     kind: Literal["write_failed"]
     code: str
     cause: str

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterable, AsyncIterator
-from types import TracebackType
+from types import TracebackType, UnionType
 from typing import Any, Self, TypeVar
 
 import httpx
 
-from mavcal.client.base import Reader
 from mavcal.client.errors import Unreachable
 from mavcal.client.exchange import (
     AGAIN_S,
@@ -90,7 +89,7 @@ class AsyncTransport:
         self,
         method: str,
         path: str,
-        answer: Reader[T],
+        answer: type[T],
         *,
         query: Query | None = None,
         header: Query | None = None,
@@ -119,7 +118,7 @@ class AsyncTransport:
     async def _follow(
         self,
         path: str,
-        message: Reader[T],
+        message: type[T] | UnionType,
         *,
         query: Query | None = None,
         last_event_id: int | None = None,

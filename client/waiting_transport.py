@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from types import TracebackType
+from types import TracebackType, UnionType
 from typing import Any, Self, TypeVar
 
 import httpx
 
-from mavcal.client.base import Reader
 from mavcal.client.errors import Unreachable
 from mavcal.client.exchange import (
     AGAIN_S,
@@ -91,7 +90,7 @@ class Transport:
         self,
         method: str,
         path: str,
-        answer: Reader[T],
+        answer: type[T],
         *,
         query: Query | None = None,
         header: Query | None = None,
@@ -120,7 +119,7 @@ class Transport:
     def _follow(
         self,
         path: str,
-        message: Reader[T],
+        message: type[T] | UnionType,
         *,
         query: Query | None = None,
         last_event_id: int | None = None,

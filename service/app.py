@@ -13,21 +13,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware.cors import CORSMiddleware
 
 from mavcal import calib
-from mavcal.service.api import (
-    campaigns,
-    fleet,
-    gaps,
-    host,
-    jobs,
-    links,
-    live,
-    preflight,
-    recordings,
-    reviews,
-    signing,
-    unfinished,
-    vehicles,
-)
+from mavcal.service.api import campaigns, fleet, gaps, host, jobs, links, recordings, vehicles
 from mavcal.service.api.document import document
 from mavcal.service.api.middleware import Envelope
 from mavcal.service.api.problems import install_problem_handlers
@@ -77,10 +63,7 @@ def create_app(settings: Settings) -> FastAPI:
             allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["Location", "Link", "X-Request-ID"],
         )
-    for module in (
-        *(links, signing, vehicles, live, preflight, jobs, unfinished, reviews),
-        *(recordings, gaps, fleet, campaigns),
-    ):
+    for module in (links, vehicles, jobs, recordings, gaps, fleet, campaigns):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(host.router)
     _add_panel(app)

@@ -33,8 +33,8 @@ from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.uploads.computing import uploads_of
-from mavcal.service.link import Link
 from mavcal.service.link.allowed import Allowed
+from mavcal.service.link.link import Link
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.rates.owed import OwedRates
@@ -47,8 +47,8 @@ from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.unfinished import Unfinished, left_over
-from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.job_vehicle import VehicleSource
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 if TYPE_CHECKING:
     from mavcal.service.instances.instance import Instance

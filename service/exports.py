@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from mavcal.calib.firmware.export import to_param, to_params, to_parm
+from mavcal.calib.firmware.export import ParameterFormat, write_plan
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.pages import page
@@ -41,9 +41,7 @@ def export(job: Job, form: str, store: Store) -> str:
         If the job has no plan.
     """
     makers: Mapping[str, Callable[[Job, WritePlan], str]] = {
-        "param": lambda _job, plan: to_param(plan),
-        "parm": lambda _job, plan: to_parm(plan),
-        "params": lambda _job, plan: to_params(plan),
+        **dict.fromkeys(ParameterFormat, lambda _job, plan: write_plan(plan, ParameterFormat(form))),
         "json": _json,
         "csv": _csv,
         "html": partial(_html, store=store),

@@ -16,9 +16,10 @@ from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import CAPTURING, ENDED, JobState
-from mavcal.service.link import Hand, Link
+from mavcal.service.link.endpoint import Hand
+from mavcal.service.link.link import Link
 from mavcal.service.simvehicle import ControlChannel, ControlError, Operator
-from mavcal.service.vehicle import Vehicle
+from mavcal.service.vehicle.vehicle import Vehicle
 
 log = structlog.get_logger(__name__)
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Protocol
 
 from mavcal.service.errors import EndpointError, EndpointRefused, LinkOpen, LinkUnknown
-from mavcal.service.link import Endpoint, Link, OwnIdentity, SigningConfig, parse_endpoint
 from mavcal.service.link.allowed import Allowed
-from mavcal.service.link.endpoint import SIGNING
+from mavcal.service.link.endpoint import SIGNING, Endpoint, parse_endpoint
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import OwnIdentity, SigningConfig
 from mavcal.service.settings import MavlinkSettings
 from mavcal.service.signing_keys import DEFAULT, UNSIGNED, SigningKeys
 from mavcal.service.store.rows import LinkRow

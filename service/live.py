@@ -12,11 +12,11 @@ from mavcal.calib.firmware.in_force.undo import Undo
 from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.tilt import TiltFilter
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.calibrate.digest import field_of
-from mavcal.service.vehicle import Vehicle
 from mavcal.service.vehicle.job_vehicle import JobVehicle
+from mavcal.service.vehicle.vehicle import Vehicle
 
 BATCH_S = 0.1
 """How often a batch is made, s of the wall's clock."""

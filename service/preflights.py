@@ -32,12 +32,12 @@ from mavcal.calib.preflight.collect import (
     without_words,
 )
 from mavcal.calib.preflight.installed import STREAMED, announced
-from mavcal.calib.preflight.readings import RestReading, rest_readings
+from mavcal.calib.preflight.rest import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError
 from mavcal.service.rates.ledger import RateLedgers
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS

@@ -15,7 +15,7 @@ from pathlib import Path
 import structlog
 
 from mavcal.service.errors import StoreError
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.settings import RetentionSettings
 from mavcal.service.store.rows import RecordingRow
 from mavcal.service.store.sql import Store

@@ -8,18 +8,10 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from mavcal.calib.firmware.plan import WritePlan
-from mavcal.calib.review import (
-    Criterion,
-    MountingChoice,
-    SensorEffect,
-    StatedMounting,
-    choices_of,
-    criteria_of,
-    effects_of,
-    headline_of,
-    mountings_of,
-    picture_of,
-)
+from mavcal.calib.review.criteria import Criterion, criteria_of
+from mavcal.calib.review.effect import SensorEffect, effects_of, headline_of
+from mavcal.calib.review.mountings import MountingChoice, StatedMounting, choices_of, mountings_of
+from mavcal.calib.review.picture import picture_of
 from mavcal.service.errors import PlanMissing
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState

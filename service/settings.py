@@ -312,31 +312,6 @@ class Settings(BaseSettings):
         return not is_loopback(self.host)
 
 
-def settings_table() -> str:
-    """The settings as a Markdown table; ``docs/settings.md`` is this text."""
-    rows = ["| setting | environment | default | meaning |", "|---|---|---|---|"]
-    rows += [
-        f"| `{name}` | `{env}` | `{default}` | {text} |" for name, env, default, text in _rows(Settings, "", "MAVCAL_")
-    ]
-    return "\n".join(rows) + "\n"
-
-
-def _rows(model: type[BaseModel], prefix: str, env: str) -> list[tuple[str, str, str, str]]:
-    rows: list[tuple[str, str, str, str]] = []
-    for name, info in model.model_fields.items():
-        annotation = info.annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            rows += _rows(annotation, f"{prefix}{name}.", f"{env}{name.upper()}__")
-            continue
-        default = (
-            "the platform's state directory"
-            if name == "data_dir"
-            else repr(info.get_default(call_default_factory=True))
-        )
-        rows.append((prefix + name, env + name.upper(), default, info.description or ""))
-    return rows
-
-
 def check_exposure(settings: Settings) -> None:
     """Refuse to listen beyond loopback without keys.
 

@@ -8,12 +8,11 @@ from functools import partial
 from typing import Any
 
 from mavcal.service.errors import Forbidden, LinkOpen, SigningKeyError, SigningNotConfirmed
-from mavcal.service.link import Link
-from mavcal.service.link.link import OFFER_S, OFFERS
+from mavcal.service.link.link import OFFER_S, OFFERS, Link
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.signing_keys import KnownKey, SigningKeys
 from mavcal.service.store.sql import Store
-from mavcal.service.vehicle import VehicleRegistry
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 
 class SigningAdmin:

@@ -17,12 +17,13 @@ from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.sql import Store
-from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.job_vehicle import VehicleSource
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.vehicle import Vehicle
 
 POLL_S = 0.01
 FOUND_S = 30.0

@@ -19,7 +19,8 @@ import numpy as np
 
 from bench.rows import Row, Section, milliseconds
 from bench.speed.sender import COMPONENT, MARKER, RAW_IMU, SYSTEM, Sender, Spec, numbers_of, started
-from mavcal.service.link import Batch, Link
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch
 
 REACHED = 0.95
 """A sender that reaches less than this share of its rate does not test the receiver at that rate."""

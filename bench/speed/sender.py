@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcal.calib.wire import RawMessage, encode
+from mavcal.calib.wire.codec import RawMessage, encode
 
 RAW_IMU = 27
 SYSTEM, COMPONENT = 9, 1

@@ -1,6 +1,6 @@
 """Firmware knowledge: streams, parameters, undoing of corrections, write plans and proofs.
 
-The knowledge of each firmware lies in its own modules; what is exported here asks for the autopilot by name
+The knowledge of each firmware lies in its own modules; what is defined here asks for the autopilot by name
 (``ardupilot`` or ``px4``, as in :class:`calib.recording.Identity`).
 """
 
@@ -14,30 +14,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.in_force.rewritten import compass_offset_changes
-from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
-from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role
+from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
-from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
-
-__all__ = [
-    "CALIBRATION_PREFIXES",
-    "TITLES",
-    "Assembler",
-    "Undo",
-    "body_from_sensor",
-    "calibration_changes",
-    "calibration_in_force",
-    "calibration_names",
-    "compass_offset_changes",
-    "requested_streams",
-    "sensor_ids",
-    "turning_spoils",
-    "undo",
-]
 
 _MODULES = {"ardupilot": ardupilot, "px4": px4}
 TITLES = MappingProxyType({"ardupilot": "ArduPilot", "px4": "PX4"})

@@ -84,21 +84,6 @@ def write_plan(plan: WritePlan, form: ParameterFormat, *, system: int = 1, compo
     return "\n".join([*(h.replace("\n", " ") for h in head), *(line(c, system, component) for c in changes)]) + "\n"
 
 
-def to_param(plan: WritePlan) -> str:
-    """The plan in Mission Planner's format; errors as :func:`write_plan`."""
-    return write_plan(plan, ParameterFormat.PARAM)
-
-
-def to_parm(plan: WritePlan) -> str:
-    """The plan in MAVProxy's format; errors as :func:`write_plan`."""
-    return write_plan(plan, ParameterFormat.PARM)
-
-
-def to_params(plan: WritePlan) -> str:
-    """The plan in QGroundControl's format; errors as :func:`write_plan`."""
-    return write_plan(plan, ParameterFormat.PARAMS)
-
-
 def write_export(plan: WritePlan, path: Path) -> None:
     """Write the plan to `path` in the format of its ending.
 

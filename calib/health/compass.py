@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, earth_field
+from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
@@ -147,8 +147,7 @@ def _field(recording: Recording) -> EarthField | None:
     year = _YEAR
     for event in recording.events:
         if event.kind == "utc":
-            date = datetime.fromisoformat(event.text)
-            year = date.year + (date.timetuple().tm_yday - 1) / 365.25
+            year = decimal_year(datetime.fromisoformat(event.text))
     try:
         latitude, longitude, altitude = np.median(fixed, axis=0)
         return earth_field(float(latitude), float(longitude), float(altitude), year)

@@ -19,8 +19,8 @@ import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib.imu.integrate import Moves, Turns, integrate
-from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, ImuPrior, cross, symmetric
-from mavcal.calib.stats.norm_fit import PAIRS
+from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, ImuPrior, cross
+from mavcal.calib.stats.norm_fit import PAIRS, symmetric
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.imu.integrate import integrate
 from mavcal.calib.imu.problem import ImuProblem
-from mavcal.calib.imu.unknowns import cross, symmetric
+from mavcal.calib.imu.unknowns import cross
 from mavcal.calib.recording import Channel
+from mavcal.calib.stats.norm_fit import symmetric
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,6 @@ DIAGONAL = np.array([9, 13, 17])
 """The gyroscope's own scales among the unknowns."""
 
 
-def symmetric(c: Array) -> Array:
-    """The matrix (3, 3) of the six entries `c` in the order of PAIRS."""
-    return np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
-
-
 def cross(v: Array) -> Array:
     """``[v]x`` (K, 3, 3)."""
     out = np.zeros((len(v), 3, 3))

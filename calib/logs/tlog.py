@@ -13,13 +13,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role, ardupilot_imu_names
 from mavcal.calib.firmware.stream.announcements import AUTOPILOTS
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import INERTIAL
-from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, Recording, Sensor
-from mavcal.calib.wire import TlogReader, decode
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.tlog import TlogReader
 
 if TYPE_CHECKING:
-    from mavcal.calib.wire import Frame
+    from mavcal.calib.wire.frames import Frame
 
 HEARTBEAT: Final = dialect.MAVLINK_MSG_ID_HEARTBEAT
 LEAST_MESSAGES: Final = 50

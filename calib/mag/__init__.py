@@ -6,7 +6,7 @@
     ellipsoid                         the full fit: moments (one pass) -> distance (orthogonal) -> robust (outliers)
     shape_fit                         its least squares, or averaged over how much soft iron the samples show
     running                           one pass with its covariance: recursive, mergeable, with forgetting
-    accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
+    accumulator  coverage             for a live procedure: the samples so far, what they are worth, where to turn next
     blur  blur_fit                    a compass that averages while it turns
     rings  align  gyro_aided          the mounting as well: turns about the vertical, accelerometer, gyroscope
     flight  motor  fixed_yaw          in flight, against the motors' currents, at one known heading
@@ -14,7 +14,7 @@
     result                            the one maker of results, for all of them
     samples  shape  serial  heading   what these share
 
-Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.context.MagContext`. It returns a
+Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`. It returns a
 :class:`calib.fit.FitResult` over offset and matrix, whose ``quality`` holds
 
 ==========================  =====================================================================================
@@ -36,12 +36,12 @@ from __future__ import annotations
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.coverage import Advice, Coverage
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.moments import adjusted_least_squares
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.mag.running import RunningEllipsoid
 from mavcal.calib.mag.shape import MagModel
 from mavcal.calib.mag.simple_fits import fit_ellipsoid_axis, fit_minmax, fit_sphere

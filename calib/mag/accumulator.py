@@ -1,20 +1,15 @@
-"""Magnetometer fit of the samples so far, for a live procedure that asks once a second."""
+"""Samples of a magnetometer so far and their rough shape, for a live procedure that asks once a second."""
 
 from __future__ import annotations
-
-from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.context import MagFacts
-from mavcal.calib.mag.coverage import Coverage
-from mavcal.calib.mag.ellipsoid import FEWEST, fit_ellipsoid
+from mavcal.calib.mag.ellipsoid import FEWEST
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.samples import Cloud, check_not_flat, check_samples
-from mavcal.calib.mag.shape import Ellipsoid, MagModel
+from mavcal.calib.mag.shape import Ellipsoid
 from mavcal.calib.mag.simple_fits import solve_sphere
 
 Array = NDArray[np.float64]
@@ -24,29 +19,11 @@ _ROUNDING = 1e-9  # of a cloud's distance from zero, and of its width: what is t
 
 
 class EllipsoidAccumulator:
-    """Samples of one magnetometer, fed in chunks; the fits depend on the samples, not on how they were cut.
+    """Samples of one magnetometer, fed in chunks, and their rough shape."""
 
-    Parameters
-    ----------
-    model, prior_sd, robust, **facts
-        As for :func:`calib.mag.ellipsoid.fit_ellipsoid`.
-    """
-
-    def __init__(
-        self,
-        *,
-        model: str = MagModel.SYMMETRIC,
-        robust: bool | None = None,
-        prior_sd: float | None = None,
-        **facts: Unpack[MagFacts],
-    ) -> None:
-        self._model = model
-        self._robust = robust
-        self._prior_sd = prior_sd
-        self._facts = facts
+    def __init__(self) -> None:
         self._store = np.empty((1024, 3))
         self._count = 0
-        self._fitted: FitResult | None = None
 
     def __len__(self) -> int:
         return self._count
@@ -71,14 +48,6 @@ class EllipsoidAccumulator:
             return
         self._append(check_samples(chunk, 1, may_repeat=True))
 
-    def fit(self) -> FitResult:
-        """The full fit of everything so far; refused as long as too much is missing. Cached until the next sample."""
-        if self._fitted is None:
-            self._fitted = fit_ellipsoid(
-                self.samples, model=self._model, robust=self._robust, prior_sd=self._prior_sd, **self._facts
-            )
-        return self._fitted
-
     def rough(self) -> Ellipsoid | None:
         """A quick ellipsoid of the samples so far, or a sphere; None: they determine neither."""
         if self._count < FEWEST:
@@ -99,15 +68,6 @@ class EllipsoidAccumulator:
             return None
         return found.moved(centre, scale)
 
-    def coverage(self) -> Coverage:
-        """Coverage of field directions so far, by the present ellipsoid."""
-        shape = self.rough()
-        if shape is None:
-            return Coverage.empty()
-        found = Coverage.of(directions_of(self._thinned(), shape))
-        share = self._count / max(found.count, 1)
-        return Coverage(found.information * share, found.seen, self._count)
-
     def _thinned(self) -> Array:
         return self.samples[:: max(1, self._count // _COVERED)]
 
@@ -119,7 +79,6 @@ class EllipsoidAccumulator:
             self._store = enlarged
         self._store[self._count : needed] = chunk
         self._count = needed
-        self._fitted = None
 
 
 def directions_of(samples: Array, shape: Ellipsoid) -> Array:

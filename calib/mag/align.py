@@ -29,13 +29,14 @@ from mavcal.calib.mag.align_solve import (
     turning_of,
     two_stage_start,
 )
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.coverage import mask_bytes, visited
 from mavcal.calib.mag.orientation import QUIET, interpolated
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
     SCALE_UNKNOWN,
     CompassFit,
+    MagContext,
+    MagFacts,
     array_forms,
     compass_result,
     field_quality,
@@ -159,7 +160,7 @@ def fit_alignment(
     time_offset
         By how much the magnetometer is later than the accelerometer, s. None: tested, and taken out where it is sure.
     **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

@@ -28,10 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.blur import Rates, axes_of_gyro, deblurred
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
 from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
+from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
 from mavcal.calib.mag.samples import Cloud, counted_as, not_repeated, still_stretches
 from mavcal.calib.mag.shape import MagModel, correction

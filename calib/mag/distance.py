@@ -190,7 +190,6 @@ class Solution:
     noise_variance: float
     prior: Array
     """Information that the prior added, (9, 9)."""
-    steps: int
 
 
 @dataclass(frozen=True)
@@ -243,7 +242,7 @@ def gauss_newton(
     lowest, lowest_belief = np.inf, 0.0  # data and prior apart: the variance that weighs them is re-estimated
     free = terms.model.basis
     tolerance = 0.03 if len(distances) >= LARGE else 1e-7
-    for count in range(MAX_STEPS):
+    for _ in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
         prior = shape_prior(ellipsoid, terms.prior_sd, terms.cross_sd)
         state = _state(ellipsoid)
@@ -262,7 +261,7 @@ def gauss_newton(
         step = step * min(1.0, _LONGEST_STEP * float(ellipsoid.radii[0]) / longest)
         ellipsoid = _checked(ellipsoid.stepped(step))
         if in_sd * _contraction(ellipsoid, step, variance) < tolerance:
-            return Solution(ellipsoid, found, variance, prior, count + 1)
+            return Solution(ellipsoid, found, variance, prior)
     raise NotConvergedError(
         f"the magnetometer samples settle on no ellipsoid within {MAX_STEPS} steps",
         remedy=ALL_SIDES,

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError, NotConvergedError, UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitResult
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.coverage import visited
 from mavcal.calib.mag.distance import ALL_SIDES, score_rows
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.result import UNDETERMINED_SD, plausible_field, refusal
+from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts, plausible_field, refusal
 from mavcal.calib.mag.robust import find_start
 from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples, real_array
 from mavcal.calib.mag.serial import white_variance
@@ -70,7 +69,7 @@ def fit_ellipsoid(
         Standard deviation of each relative soft-iron term (``S/r - I``) about zero, for movements that cover little:
         0.05 is a clean vehicle. None: the data alone (for ``auto``: 0.1).
     **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

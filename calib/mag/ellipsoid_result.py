@@ -25,13 +25,13 @@ import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import OFFSETS, FitResult, parameter_names
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.coverage import mask_bytes, visited
 from mavcal.calib.mag.distance import score_rows
 from mavcal.calib.mag.result import (
     FIELD_TOLERANCE,
     SCALE_UNKNOWN,
     CompassFit,
+    MagContext,
     compass_result,
     field_quality,
     undetermined_parameters,

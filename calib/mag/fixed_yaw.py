@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.orientation import rotation_matrix
-from mavcal.calib.mag.result import CompassFit, compass_result
+from mavcal.calib.mag.result import CompassFit, MagContext, MagFacts, compass_result
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -76,7 +75,7 @@ def fit_fixed_yaw(
     standing
         Tilt and heading of the vehicle.
     **facts
-        :class:`calib.mag.context.MagContext`; `field` is needed, `body_from_sensor` is the stated mounting.
+        :class:`calib.mag.result.MagContext`; `field` is needed, `body_from_sensor` is the stated mounting.
 
     Raises
     ------

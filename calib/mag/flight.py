@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, estimate, estimated_soft_iron_sd
 from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
@@ -24,7 +23,7 @@ from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.motor_hidden import unusable_attitude
-from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, CompassFit, compass_result
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, CompassFit, MagContext, MagFacts, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -76,7 +75,7 @@ def fit_flight(
     window
         Time over which the compass averages, s.
     **facts
-        :class:`calib.mag.context.MagContext`.
+        :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.flight_fit import Samples
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.triad import TriadModel
 

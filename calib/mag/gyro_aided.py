@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior, symmetric
+from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior
 from mavcal.calib.imu.weighting import groups
 from mavcal.calib.mag.blur import deblurred, rates_during
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.gyro_chain import (
     BIAS_SD,
     FREE_GYRO_MATRIX,
@@ -31,8 +30,17 @@ from mavcal.calib.mag.gyro_chain import (
     weak_prior,
 )
 from mavcal.calib.mag.heading import heading_sd_deg
-from mavcal.calib.mag.result import SCALE_UNKNOWN, UNDETERMINED_SD, CompassFit, compass_result, with_strength_sd
+from mavcal.calib.mag.result import (
+    SCALE_UNKNOWN,
+    UNDETERMINED_SD,
+    CompassFit,
+    MagContext,
+    MagFacts,
+    compass_result,
+    with_strength_sd,
+)
 from mavcal.calib.recording import Channel
+from mavcal.calib.stats.norm_fit import symmetric
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 from mavcal.calib.triad import TriadModel
@@ -64,7 +72,7 @@ def fit_gyro_aided(
     window
         Time over which the compass averages, s (ArduPilot: 0.1); its blur is undone, samples of fast turns left out.
     **facts
-        What is known of the magnetometer, :class:`calib.mag.context.MagContext`.
+        What is known of the magnetometer, :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

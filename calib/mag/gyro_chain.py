@@ -18,11 +18,11 @@ from mavcal.calib.geometry import sphere_of
 from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, solve
 from mavcal.calib.imu.start import rough_gyro, with_turn_noise
-from mavcal.calib.imu.unknowns import Coordinates, ImuPrior, symmetric
+from mavcal.calib.imu.unknowns import Coordinates, ImuPrior
 from mavcal.calib.imu.weighting import groups
-from mavcal.calib.mag.context import MagContext
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.recording import Channel
-from mavcal.calib.stats.norm_fit import NEUTRAL
+from mavcal.calib.stats.norm_fit import NEUTRAL, symmetric
 from mavcal.calib.stats.residuals import residual_statistics
 
 Array = NDArray[np.float64]

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
@@ -27,7 +26,7 @@ from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log, unusable_attitude
 from mavcal.calib.mag.motor_text import disagreement, terms_text
-from mavcal.calib.mag.result import CompassFit, compass_result
+from mavcal.calib.mag.result import CompassFit, MagContext, MagFacts, compass_result
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -116,7 +115,7 @@ def fit_motor(
     window
         Time over which the compass averages, s.
     **facts
-        :class:`calib.mag.context.MagContext`.
+        :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

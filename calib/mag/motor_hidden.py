@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.flight_fit import FlightEstimate, correlation_time
 from mavcal.calib.mag.flight_input import FlightInput
 from mavcal.calib.mag.flight_path import attitudes
 from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

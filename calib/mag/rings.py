@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from mavcal.calib.c_array import homogeneous
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.result import (
     SCALE_UNKNOWN,
     UNDETERMINED_SD,
     CompassFit,
+    MagContext,
+    MagFacts,
     array_forms,
     compass_result,
     field_quality,
@@ -76,7 +77,7 @@ def fit_rings(
     diameter
         Length of a corrected diameter, in whatever unit: twice the field strength. None: the field's, else det C = 1.
     **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Returns
     -------

@@ -22,11 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.distance import ALL_SIDES
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, judged_ellipsoid
 from mavcal.calib.mag.moments import POWERS, Moments, corrections, fill_monomials
-from mavcal.calib.mag.result import refusal
+from mavcal.calib.mag.result import MagContext, MagFacts, refusal
 from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
 from mavcal.calib.stats.residuals import WHITE, student_variance
@@ -175,7 +174,7 @@ class RunningEllipsoid:
         model
             What is free, :class:`~calib.mag.shape.MagModel`.
         **facts
-            Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+            Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
         """
         context, form = MagContext(**facts), MagModel(model)
         try:

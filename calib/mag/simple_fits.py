@@ -12,6 +12,7 @@ Samples are therefore centred on their mean and scaled first. That also takes th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Unpack
 
 import numpy as np
@@ -20,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.context import MagContext, MagFacts
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
-from mavcal.calib.mag.result import refusal
+from mavcal.calib.mag.result import MagContext, MagFacts, refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import weakened_information, white_variance, widened_scatter
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -33,6 +33,20 @@ Array = NDArray[np.float64]
 MINMAX = "mag-minmax"
 SPHERE = "mag-sphere"
 ALONG_AXES = "mag-ellipsoid-axis"
+
+
+def _fitted(
+    method: str, least: int, samples: ArrayLike, facts: MagFacts, solve: Callable[[Array], ShapeFit]
+) -> FitResult:
+    """The verdict on what `solve` makes of at least so many samples; refused where they determine nothing."""
+    context = MagContext(**facts)
+    array = np.asarray(samples, dtype=np.float64)
+    try:
+        array = check_samples(array, least)
+        fit = solve(array)
+    except UndeterminedError as error:
+        return refusal(method, error, len(array), context)
+    return ellipsoid_result(fit, array, context)
 
 
 def half_range(samples: Array) -> tuple[Array, Array]:
@@ -53,7 +67,7 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     samples : shape (N, 3)
         N >= 4.
     **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
+        Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Raises
     ------
@@ -66,26 +80,24 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     missing directions that are in it. Half a range is too long besides, by up to ``s_w sqrt(2 ln N)`` with the white
     noise s_w: the extremes are those of the noise.
     """
-    context = MagContext(**facts)
-    array = np.asarray(samples, dtype=np.float64)
-    try:
-        array = check_samples(array, 4)
-        offset, half = half_range(array)
-        if not (half > 0.0).all():
-            raise UndeterminedError(
-                f"axis {'xyz'[int(np.argmin(half))]} of the magnetometer never changes",
-                remedy="turn the vehicle so that every side points up and down once; if it stays, the sensor is broken",
-            )
-        check_not_flat(np.cov(array.T / half.max()))
-    except UndeterminedError as error:
-        return refusal(MINMAX, error, len(array), context)
+    return _fitted(MINMAX, 4, samples, facts, _from_extremes)
+
+
+def _from_extremes(array: Array) -> ShapeFit:
+    offset, half = half_range(array)
+    if not (half > 0.0).all():
+        raise UndeterminedError(
+            f"axis {'xyz'[int(np.argmin(half))]} of the magnetometer never changes",
+            remedy="turn the vehicle so that every side points up and down once; if it stays, the sensor is broken",
+        )
+    check_not_flat(np.cov(array.T / half.max()))
     scaled = (array - offset) / half
     residuals = (np.linalg.norm(scaled, axis=1) - 1.0) * float(np.cbrt(np.prod(half)))
     middle = 0.5 * float(np.mean(residuals**2))
     stretched = white_variance(residuals) * 2.0 * math.log(len(array))
     covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
     np.fill_diagonal(covariance[:6, :6], [middle] * 3 + [middle + stretched] * 3)
-    fit = ShapeFit(
+    return ShapeFit(
         method=MINMAX,
         ellipsoid=Ellipsoid(offset, np.diag(half)),
         covariance=covariance,
@@ -96,7 +108,6 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
         native={"offset": offset.tolist(), "half_range": half.tolist()},
         warnings=("extremes only: one spike moves this by half its size; a starting value, not a calibration",),
     )
-    return ellipsoid_result(fit, array, context)
 
 
 def _scaled(samples: Array) -> tuple[Array, Array, float]:
@@ -132,31 +143,19 @@ def solve_sphere(samples: Array) -> tuple[Array, float]:
 def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     """Fit offset and radius; soft iron is left in (3 to 9 % of it cost that much of the field).
 
-    Parameters
-    ----------
-    samples : shape (N, 3)
-        N >= 5.
-    **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the samples have another shape or are not finite.
+    Parameters and errors are those of :func:`fit_minmax`, with N >= 5.
 
     Notes
     -----
     The algebraic residual is ``2 R d`` with d the distance from the sphere. To first order, least squares on it has the
     covariance ``s^2 (J^T J)^-1`` with ``J = [n 1]``.
     """
-    context = MagContext(**facts)
-    array = np.asarray(samples, dtype=np.float64)
-    try:
-        array = check_samples(array, 5)
-        scaled, mean, scale = _scaled(array)
-        offset, radius = solve_sphere(scaled)
-    except UndeterminedError as error:
-        return refusal(SPHERE, error, len(array), context)
+    return _fitted(SPHERE, 5, samples, facts, _of_sphere)
+
+
+def _of_sphere(array: Array) -> ShapeFit:
+    scaled, mean, scale = _scaled(array)
+    offset, radius = solve_sphere(scaled)
     from_centre = scaled - offset
     length = np.linalg.norm(from_centre, axis=1)
     residuals = length - radius
@@ -178,7 +177,7 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
         native={"offset": (mean + scale * offset).tolist(), "radius": radius * scale},
         variance_inflation=inflation,
     )
-    return ellipsoid_result(fit.moved(mean, scale), array, context)
+    return fit.moved(mean, scale)
 
 
 def normal_equations(samples: Array) -> tuple[Array, Array]:
@@ -226,33 +225,21 @@ def offset_and_radii(coefficients: Array) -> tuple[Array, Array]:
 def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     """Fit offset and three radii.
 
-    Parameters
-    ----------
-    samples : shape (N, 3)
-        N >= 7.
-    **facts
-        Known facts of sensor and field, as in :class:`calib.mag.context.MagContext`.
-
-    Raises
-    ------
-    InvalidInputError
-        If the samples have another shape or are not finite.
+    Parameters and errors are those of :func:`fit_minmax`, with N >= 7.
 
     Notes
     -----
     The uncertainty is propagated. The residual ``r = 1 - M x`` moves by ``|grad| d`` with the distance d of a sample.
     Hence ``Cov x = N^-1 (sum s^2 |grad|^2 M^T M) N^-1``.
     """
-    context = MagContext(**facts)
-    array = np.asarray(samples, dtype=np.float64)
-    try:
-        array = check_samples(array, 7)
-        scaled, mean, scale = _scaled(array)
-        normal, right = normal_equations(scaled)
-        coefficients = solve_coefficients(normal, right)
-        offset, radii = offset_and_radii(coefficients)
-    except UndeterminedError as error:
-        return refusal(ALONG_AXES, error, len(array), context)
+    return _fitted(ALONG_AXES, 7, samples, facts, _of_ellipsoid)
+
+
+def _of_ellipsoid(array: Array) -> ShapeFit:
+    scaled, mean, scale = _scaled(array)
+    normal, right = normal_equations(scaled)
+    coefficients = solve_coefficients(normal, right)
+    offset, radii = offset_and_radii(coefficients)
     residuals, covariance, inflation = _uncertainty(scaled, normal, coefficients, offset, radii)
     fit = ShapeFit(
         method=ALONG_AXES,
@@ -270,7 +257,7 @@ def fit_ellipsoid_axis(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResu
         warnings=("cross terms are not part of this method: whatever soft iron couples the axes stays in",),
         variance_inflation=inflation,
     )
-    return ellipsoid_result(fit.moved(mean, scale), array, context)
+    return fit.moved(mean, scale)
 
 
 def _uncertainty(

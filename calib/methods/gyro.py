@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult
-from mavcal.calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
+from mavcal.calib.gyro.g_sensitivity import fit_g_sensitivity
+from mavcal.calib.gyro.rest import fit_gyro_rest
+from mavcal.calib.gyro.thread import fit_thread
+from mavcal.calib.gyro.turntable import fit_turntable
 from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import (
     GRAVITY,

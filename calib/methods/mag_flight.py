@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.calib.firmware import body_from_sensor, calibration_in_force
 from mavcal.calib.firmware.compose.mag_motor import compensated, corrupt_compensation
@@ -34,7 +34,6 @@ _SENSORS = {
 }
 _FIXED_BY = 1e-4  # degrees and more from the equator and Greenwich: a position of zeros is none
 
-_DAYS = 365.25
 
 _FROM = (
     INSTANCE,
@@ -166,8 +165,7 @@ def _year(source: Source) -> float | None:
     """Decimal year by the log's satellite time; None: it has none."""
     for event in source.recording.events:
         if event.kind == "utc":
-            date = datetime.fromisoformat(event.text)
-            return date.year + (date.timetuple().tm_yday - 1) / _DAYS
+            return decimal_year(datetime.fromisoformat(event.text))
     return None
 
 

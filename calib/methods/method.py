@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]
+Fit = Callable[[Source, Options], Sequence[FitResult]]
 
 
 class FindingKind(StrEnum):
@@ -63,7 +64,7 @@ class Method:
     name: str
     needs: str
     options: tuple[Option, ...]
-    fit: Callable[[Source, Options], Sequence[FitResult]]
+    fit: Fit
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
     finds: FindingKind = FindingKind.CORRECTION
@@ -112,6 +113,11 @@ class Method:
         for source in sources:
             fits = [source.annotated(fit) for fit in fits]
         return tuple(fits)
+
+
+def of_one(pool: Callable[[Sequence[Source], Options], Sequence[FitResult]]) -> Fit:
+    """The function of a method for one recording, out of that for several."""
+    return lambda source, options: pool([source], options)
 
 
 def _cut(recording: Recording, options: Options) -> Recording:

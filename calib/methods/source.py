@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.flight.rest import grounded
 from mavcal.calib.logs.tables import NO_TIME

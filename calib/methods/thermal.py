@@ -18,7 +18,7 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.flight.rest_temperatures import logs_of, no_temperature
 from mavcal.calib.flight.thermal import ThermalRequest, fit_rests
 from mavcal.calib.methods import worthwhile
-from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, Suggestion, of_one
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
@@ -215,13 +215,8 @@ def _logged(sources: Sequence[Source]) -> bool:
     return all(logged)
 
 
-def thermal_linear(source: Source, options: Options) -> list[FitResult]:
-    """Accelerometers and gyroscopes against their temperature, straight lines."""
-    return linear_pooled([source], options)
-
-
-def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """The same of several logs of one vehicle."""
+def thermal_linear(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """Accelerometers and gyroscopes against their temperature, straight lines; several logs of one vehicle together."""
     through = _point(options)
     if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
@@ -270,13 +265,8 @@ def _point(options: Options) -> Array | None:
     return values
 
 
-def thermal_poly(source: Source, options: Options) -> list[FitResult]:
-    """Accelerometers and gyroscopes against their temperature, polynomials."""
-    return poly_pooled([source], options)
-
-
-def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """The same of several logs of one vehicle."""
+def thermal_poly(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """Accelerometers and gyroscopes against their temperature, polynomials; several logs of one vehicle together."""
     if _logged(sources):
         degree = options["degree"]
         if not 1 <= degree <= 5:
@@ -324,13 +314,8 @@ def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
     return _thermal(source, options, fit)
 
 
-def mag_thermal(source: Source, options: Options) -> list[FitResult]:
-    """Every compass against its temperature, in one pose or in the labelled ones."""
-    return mag_thermal_pooled([source], options)
-
-
-def mag_thermal_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """The same for several recordings of one device, each in its own pose."""
+def mag_thermal(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """Every compass against its temperature, in one pose or the labelled ones; or several recordings of one device."""
     fits = []
     for mag in sources[0].channels(Sensor.MAG):
         poses, relative = [], False
@@ -376,8 +361,8 @@ METHODS = (
             Option("min_span", float, _LINEAR_SPAN, "least range of temperature, degC"),
             REFERENCE,
         ),
+        of_one(thermal_linear),
         thermal_linear,
-        linear_pooled,
         finds=FindingKind.DRIFT,
         suggestion=Suggestion(3, partial(worthwhile.drift, least=_LINEAR_SPAN)),
     ),
@@ -393,8 +378,8 @@ METHODS = (
             REFERENCE,
             Option("lag", ("auto", "ignore"), "auto", "fit against the temperature of the die where it is seen to lag"),
         ),
+        of_one(thermal_poly),
         thermal_poly,
-        poly_pooled,
         finds=FindingKind.DRIFT,
         suggestion=Suggestion(2, partial(worthwhile.drift, least=_POLY_SPAN)),
     ),
@@ -406,8 +391,8 @@ METHODS = (
             Option("tref", float, 25.0, "temperature at which nothing is corrected, degC"),
             Option("min_span", float, 5.0, "least range of temperature of a pose, degC"),
         ),
+        of_one(mag_thermal),
         mag_thermal,
-        mag_thermal_pooled,
         finds=FindingKind.FIGURES,
     ),
 )

@@ -10,16 +10,18 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.firmware import Assembler, calibration_in_force, calibration_names, requested_streams
+from mavcal.calib.firmware import calibration_in_force, calibration_names
 from mavcal.calib.firmware.names import BOARD_ROTATION, PX4_LEVEL, PX4_SLOTS, Role, px4_names
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.slots import NO_DEVICE_IDS, px4_instance, px4_slot
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, SCALED_IMU
-from mavcal.calib.firmware.stream.rates import BY_INSTANCE
+from mavcal.calib.firmware.stream.rates import BY_INSTANCE, requested_streams
 from mavcal.calib.preflight.rest import LEAST
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
-from mavcal.calib.wire import Frame, decode
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.frames import Frame
 
 VIBRATION = dialect.MAVLINK_MSG_ID_VIBRATION
 SYS_STATUS = dialect.MAVLINK_MSG_ID_SYS_STATUS

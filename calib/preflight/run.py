@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, self_report
@@ -210,7 +210,7 @@ def _field(snapshot: Snapshot) -> EarthField | None:
         return None
     when = datetime.fromtimestamp(snapshot.now, UTC)
     try:
-        return earth_field(*place, when.year + (when.timetuple().tm_yday - 1) / 365.25)
+        return earth_field(*place, decimal_year(when))
     except InvalidInputError:
         return None
 

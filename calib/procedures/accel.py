@@ -15,14 +15,13 @@ from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.option import Option
 from mavcal.calib.posture import tilted
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.pose_fit import Assessment, assess
 from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, down_direction, recognise, remaining, tilts
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep, Tilt
 from mavcal.calib.procedures.roster import Instance, TickChannels
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(

@@ -11,7 +11,6 @@ from typing import ClassVar
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.intake import Intake, Tick
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
@@ -26,7 +25,7 @@ from mavcal.calib.procedures.roster import (
     choose,
     label,
 )
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import OperatorAnswer, Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Recording, Sensor
 
 PROGRESS_EVERY = 1.0

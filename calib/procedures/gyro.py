@@ -13,16 +13,15 @@ import numpy as np
 
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(

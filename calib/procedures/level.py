@@ -12,13 +12,12 @@ from mavcal.calib.firmware.storable import LEVEL
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.triad import TriadModel

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavcal.calib.gyro import LARGEST_BIAS
+from mavcal.calib.gyro.rest import LARGEST_BIAS
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.recording import Array, Sensor
 
@@ -154,10 +154,6 @@ class StillWatch:
         self._ticks = 0
         for reference in self._references.values():
             reference.clear()
-
-    def mean(self, instance: Instance) -> Array:
-        """Mean over the last seconds of the present run."""
-        return self._references[instance].mean
 
     def update(self, frame: TickChannels) -> StillnessVerdict:
         """Take a tick."""

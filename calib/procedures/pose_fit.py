@@ -32,14 +32,12 @@ class Assessment:
     """The fits of all accelerometers and the verdict over them.
 
     `culprit` is the one pose that contradicts all the others; None: there is none, or it cannot be told which.
-    `contradiction` says that the residual test fails and the inflated uncertainty misses the goal.
     """
 
     fits: tuple[FitResult, ...]
     passed: bool
     offset_sd: float
     residual_rms: float
-    contradiction: bool
     culprit: HeldPose | None
     short: str
 
@@ -54,27 +52,18 @@ def assess(poses: Sequence[HeldPose], instances: Sequence[int], gravity: float, 
     refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
     if refusal is not None:
         short = f"{label(Sensor.ACCEL, refusal.instance)}: {refusal.message}"
-        return Assessment(
-            fits,
-            passed=False,
-            offset_sd=math.inf,
-            residual_rms=math.inf,
-            contradiction=False,
-            culprit=None,
-            short=short,
-        )
+        return Assessment(fits, passed=False, offset_sd=math.inf, residual_rms=math.inf, culprit=None, short=short)
     sd = max(_offset_sd(f) for f in fits)
     rms = max(f.residual_rms for f in fits)
     failing = [f for f in fits if _chance(f) < CHANCE]
     tested = all(f.quality["dof"] >= LEAST_FREEDOM for f in fits)
     passed = tested and sd <= target
-    contradiction = bool(failing) and not passed
+    contradiction = bool(failing) and not passed  # the inflated uncertainty misses the goal too
     return Assessment(
         fits=fits,
         passed=passed,
         offset_sd=sd,
         residual_rms=rms,
-        contradiction=contradiction,
         culprit=_culprit(poses, failing[0].instance, gravity) if contradiction else None,
         short=_short(sd, rms, target, passed=passed, contradiction=contradiction),
     )

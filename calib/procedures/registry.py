@@ -9,9 +9,8 @@ from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import OperatorAnswer, Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Recording
 
 _CLASSES: Mapping[str, tuple[str, str]] = MappingProxyType(

@@ -7,9 +7,9 @@ import math
 from collections.abc import Collection, Iterable
 
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.roster import label
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Sensor
 
 

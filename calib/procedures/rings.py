@@ -22,7 +22,6 @@ from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
 from mavcal.calib.procedures.pool import Pool
@@ -31,7 +30,7 @@ from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, Facing, down_direc
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import Spin, SpinWatch
 from mavcal.calib.recording import Array, Channel, Sensor
 

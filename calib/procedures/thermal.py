@@ -17,13 +17,12 @@ from mavcal.calib.firmware.storable import DRIFT
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
 from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pool import Tail
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Sensor
 
 _PARTS = (0.0, 0.25, 0.5)

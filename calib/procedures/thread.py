@@ -17,11 +17,10 @@ import numpy as np
 from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.gyro import fit_thread
+from mavcal.calib.gyro.thread import fit_thread
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.intake import TICK
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
@@ -29,7 +28,7 @@ from mavcal.calib.procedures.poses import DOWN, TEXTS, down_direction, facing
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
-from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
 from mavcal.calib.recording import Array, Segment, Sensor
 
@@ -233,7 +232,6 @@ class GyroThreadProcedure(TickedProcedure):
         )
 
     def _end(self, fits: list[FitResult], reached: float) -> None:
-        self._dropped_rows()
         by = "a compass" if self._counted is None else "the operator"
         in_raw = [in_sensor(f, self._body[f.instance]) for f in fits]
         self._succeed(in_raw, f"the scale is known to {100.0 * reached:.3f} %; the turns were counted by {by}")

@@ -124,7 +124,7 @@ def ramp(start: Array, end: Array, duration: float) -> Leg:
     return Leg(duration, turning)
 
 
-def weave(duration: float, angles: Callable[[Array], tuple[Array, Array]], label: str = "") -> Leg:
+def weave(duration: float, angles: Callable[[Array], tuple[Array, Array]]) -> Leg:
     """Yaw, pitch and roll as functions of time: `angles` gives them (n, 3) in rad with their derivatives (n, 3)."""
 
     def turning(t: Array) -> tuple[Rotation, Array]:
@@ -134,7 +134,7 @@ def weave(duration: float, angles: Callable[[Array], tuple[Array, Array]], label
         r = -dpitch * np.sin(roll) + dyaw * np.cos(pitch) * np.cos(roll)
         return Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])), np.column_stack([p, q, r])
 
-    return Leg(duration, turning, label)
+    return Leg(duration, turning)
 
 
 def trajectory(

@@ -79,14 +79,9 @@ def solve(problem: NormProblem, *, weak: bool, held: Sequence[int] = ()) -> Norm
         J, r, _, _ = _linearised(problem, x)
         information = J.T @ J + np.diag(prior)
         gradient = J.T @ r + prior * (x - start)
-        scale = np.sqrt(np.diag(information)[free])
-        if not (np.isfinite(information).all() and (scale > 0).all()):
+        step = newton_step(information, gradient, free)
+        if step is None:
             return None
-        sub = information[np.ix_(free, free)] / np.outer(scale, scale)
-        if np.linalg.cond(sub) > 1e13:
-            return None
-        step = np.zeros(9)
-        step[free] = -np.linalg.solve(sub, gradient[free] / scale) / scale
         size = float(np.abs(step).max())
         x = x + step * min(1.0, 0.5 / max(size, 1e-300))
         if size < 1e-13:
@@ -103,8 +98,29 @@ def solve(problem: NormProblem, *, weak: bool, held: Sequence[int] = ()) -> Norm
 
 def _linearised(problem: NormProblem, x: Array) -> tuple[Array, Array, Array, Array]:
     """Weighted Jacobian and residuals of ``|C (m - b)| - 1``, the residuals themselves and the directions."""
-    b, C = x[:3], _symmetric(x[3:])
-    d = problem.means - b
+    J, lengths, directions, sd = linearised(problem.means - x[:3], x[3:], problem.covariances)
+    return J / sd[:, None], lengths / sd, lengths, directions
+
+
+def newton_step(information: Array, gradient: Array, free: Sequence[int]) -> Array | None:
+    """The step of the `free` parameters to the minimum, zero for the others; None: it is not determined."""
+    scale = np.sqrt(np.diag(information)[free])
+    if not (np.isfinite(information).all() and (scale > 0).all()):
+        return None
+    sub = information[np.ix_(free, free)] / np.outer(scale, scale)
+    if np.linalg.cond(sub) > 1e13:
+        return None
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(sub, gradient[free] / scale) / scale
+    return step
+
+
+def linearised(d: Array, c: Array, covariances: Array) -> tuple[Array, Array, Array, Array]:
+    """Of ``|C d| - 1``: its Jacobian (K, 9) by the offset in `d` (K, 3) and by `c`, itself, direction, and sd.
+
+    `c` has the entries of C in the order of PAIRS; `covariances` (K, 3, 3) are those of `d`.
+    """
+    C = symmetric(c)
     corrected = d @ C
     length = np.maximum(np.linalg.norm(corrected, axis=1), 1e-12)
     u = corrected / length[:, None]
@@ -113,17 +129,18 @@ def _linearised(problem: NormProblem, x: Array) -> tuple[Array, Array, Array, Ar
     J[:, :3] = -normal
     for k, (i, j) in enumerate(PAIRS):
         J[:, 3 + k] = u[:, i] * d[:, j] if i == j else u[:, i] * d[:, j] + u[:, j] * d[:, i]
-    sd = np.sqrt(np.einsum("ki,kij,kj->k", normal, problem.covariances, normal))
-    return J / sd[:, None], (length - 1.0) / sd, length - 1.0, u
+    sd = np.sqrt(np.einsum("ki,kij,kj->k", normal, covariances, normal))
+    return J, length - 1.0, u, sd
 
 
-def _symmetric(c: Array) -> Array:
+def symmetric(c: Array) -> Array:
+    """C of its entries in the order of PAIRS."""
     return np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
 
 
 def weighted_along(problem: NormProblem, poses: Sequence[PoseMean], solution: NormSolution) -> NormProblem:
     """The same problem with each pose's variance taken along its own normal, as `solution` knows it."""
-    C = _symmetric(solution.parameters[3:])
+    C = symmetric(solution.parameters[3:])
     normals = solution.directions @ C
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     covariances = problem.covariances.copy()
@@ -180,20 +197,20 @@ def model_of(problem: NormProblem, x: Array, covariance: Array, form: str) -> tu
     spread[:3, :3] = np.eye(3)
     for k, (i, j) in enumerate(PAIRS):
         spread[3 + 3 * i + j, 3 + k] = spread[3 + 3 * j + i, 3 + k] = 1.0
-    model = TriadModel(offset=problem.radius * x[:3], matrix=problem.gravity / problem.radius * _symmetric(x[3:]))
+    model = TriadModel(offset=problem.radius * x[:3], matrix=problem.gravity / problem.radius * symmetric(x[3:]))
     if form == "upper":
-        spread[3:, 3:] = _upper_from_symmetric(x[3:])
+        spread[3:, 3:] = _upper_fromsymmetric(x[3:])
         model = model.upper_triangular()
     spread = spread * scale
     return model, spread @ covariance @ spread.T
 
 
-def _upper_from_symmetric(c: Array) -> Array:
+def _upper_fromsymmetric(c: Array) -> Array:
     """Derivative (9, 6) of the upper triangular matrix with the same ``|C x|``, by central differences."""
     columns = []
     for k in range(6):
         h = np.zeros(6)
         h[k] = 1e-6
-        ahead, behind = (TriadModel(matrix=_symmetric(c + s * h)).upper_triangular().matrix for s in (1.0, -1.0))
+        ahead, behind = (TriadModel(matrix=symmetric(c + s * h)).upper_triangular().matrix for s in (1.0, -1.0))
         columns.append(((ahead - behind) / 2e-6).ravel())
     return np.column_stack(columns)

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.correlated import long_run_variance
-from mavcal.calib.stats.norm_fit import PAIRS
+from mavcal.calib.stats.norm_fit import UNDETERMINED, linearised, newton_step
 from mavcal.calib.stats.stillness import PoseMean, Still
 
 Array = NDArray[np.float64]
 
-_UNDETERMINED = 0.02  # of a radius, or of one: a larger sd is no estimate
 _NO_DRIFT = 0.005  # of a radius over half the span: a larger sd is no drift
 _WEAK = 1.0  # radii: prior under which what the poses do not determine shows
 _WITHIN_LEAST = 64  # samples of all poses that tell the drift within them
@@ -142,7 +141,7 @@ def solve_poses(
     if weak is None:
         return "the poses do not lie on one sphere: check the unit, and that every pose was still"
     sd = np.sqrt(np.diag(weak.covariance))
-    limit = np.where(np.arange(len(sd)) < 9, _UNDETERMINED, _NO_DRIFT)
+    limit = np.where(np.arange(len(sd)) < 9, UNDETERMINED, _NO_DRIFT)
     unknown = tuple(i for i in range(len(sd)) if sd[i] > limit[i] and not 6 <= i < 9)
     if all(i in unknown for i in range(3)):
         return f"{len(warm)} poses determine no axis: {movement(weak)}"
@@ -157,7 +156,7 @@ def _unlearnt(sd: Array, cross_sd: float | None) -> tuple[int, ...]:
     """Cross terms on which the poses say less than half of what the prior does."""
     if cross_sd == 0.0:
         return (6, 7, 8)
-    limit = _UNDETERMINED if cross_sd is None else 0.5 * cross_sd
+    limit = UNDETERMINED if cross_sd is None else 0.5 * cross_sd
     return tuple(i for i in range(6, 9) if sd[i] > limit)
 
 
@@ -177,20 +176,10 @@ def _problem(
 
 def _linearised(problem: WarmProblem, x: Array) -> tuple[Array, Array, Array, Array]:
     """Weighted Jacobian and residuals of ``|C (m - b - p)| - 1``, the residuals themselves and the directions."""
-    c = x[3:9]
-    C = np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
     d = problem.means - x[:3] - problem.powers @ x[9:].reshape(problem.degree, 3)
-    corrected = d @ C
-    length = np.maximum(np.linalg.norm(corrected, axis=1), 1e-12)
-    u = corrected / length[:, None]
-    normal = u @ C
-    J = np.empty((len(d), len(x)))
-    J[:, :3] = -normal
-    for k, (i, j) in enumerate(PAIRS):
-        J[:, 3 + k] = u[:, i] * d[:, j] if i == j else u[:, i] * d[:, j] + u[:, j] * d[:, i]
-    J[:, 9:] = -(problem.powers[:, :, None] * normal[:, None, :]).reshape(len(d), -1)
-    sd = np.sqrt(np.einsum("ki,kij,kj->k", normal, problem.covariances, normal))
-    return J / sd[:, None], (length - 1.0) / sd, length - 1.0, u
+    of_pose, lengths, directions, sd = linearised(d, x[3:9], problem.covariances)
+    of_drift = (problem.powers[:, :, None] * of_pose[:, None, :3]).reshape(len(d), -1)
+    return np.hstack([of_pose, of_drift]) / sd[:, None], lengths / sd, lengths, directions
 
 
 def _solve(problem: WarmProblem, *, weak: bool, held: Sequence[int] = ()) -> WarmSolution | None:
@@ -210,14 +199,9 @@ def _solve(problem: WarmProblem, *, weak: bool, held: Sequence[int] = ()) -> War
         J, r, _, _ = _linearised(problem, x)
         information = J.T @ J + np.diag(prior) + inner
         gradient = J.T @ r + prior * (x - start) + inner @ (x - target)
-        scale = np.sqrt(np.diag(information)[free])
-        if not (np.isfinite(information).all() and (scale > 0).all()):
+        step = newton_step(information, gradient, free)
+        if step is None:
             return None
-        sub = information[np.ix_(free, free)] / np.outer(scale, scale)
-        if np.linalg.cond(sub) > 1e13:
-            return None
-        step = np.zeros(len(x))
-        step[free] = -np.linalg.solve(sub, gradient[free] / scale) / scale
         size = float(np.abs(step).max())
         x = x + step * min(1.0, 0.5 / max(size, 1e-300))
         if size < 1e-12:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import keyword
 import re
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,6 @@ def emit(document: Document) -> dict[str, str]:
             "Answer",
         ),
         "problems.py": _problems(document),
-        "answers.py": _answers(document),
         "waiting.py": _waiting(asynchronous),
         "waiting_transport.py": _waiting_transport(),
         "asynchronous.py": asynchronous,
@@ -59,8 +59,20 @@ def _enums(document: Document) -> str:
 
 def _models(about: str, document: Document, names: list[str], beside: Mapping[str, list[str]], base: str) -> str:
     body: list[str] = []
+    shared = {union: _shared(document, union) for union in names if "oneOf" in document.schemas[union]}
+    bases = {member: union for union in shared for member in _members(document, union) if shared[union]}
+    written = set()
     for name in names:
-        body += ["", "", *_model(name, document.schemas[name], base)]
+        union = bases.get(name)
+        if union is not None and union not in written:
+            written.add(union)
+            body += ["", "", f"class Any{union}({base}):", f'    """What every {union} has."""', ""]
+            body += _fields(document.schemas[name], shared[union])
+        body += [
+            "",
+            "",
+            *_model(name, document.schemas[name], base if union is None else f"Any{union}", shared.get(union, ())),
+        ]
     used = set(re.findall(r"\b\w+\b", "\n".join(body)))
     imports = []
     if "Any" in used or "Annotated" in used or "Literal" in used:
@@ -75,13 +87,32 @@ def _models(about: str, document: Document, names: list[str], beside: Mapping[st
     return _text([*_head(about, *imports), *body])
 
 
-def _model(name: str, schema: Mapping[str, Any], base: str) -> list[str]:
+def _members(document: Document, union: str) -> list[str]:
+    """The models of which a union is one."""
+    return [option["$ref"].rsplit("/", 1)[1] for option in document.schemas[union]["oneOf"]]
+
+
+def _shared(document: Document, union: str) -> list[str]:
+    """The fields with which every model of a union begins, if there are two or more."""
+    schemas = [document.schemas[member] for member in _members(document, union)]
+    fields = zip(*(schema["properties"].items() for schema in schemas), strict=False)
+    found = [among[0][0] for among in itertools.takewhile(lambda among: all(f == among[0] for f in among), fields)]
+    return found if len(found) > 1 else []
+
+
+def _model(name: str, schema: Mapping[str, Any], base: str, inherited: Collection[str] = ()) -> list[str]:
     if "oneOf" in schema:
         return [f"{name} = {_type(schema)}", *_docstring(schema.get("description", f"One of {name}"), indent="")]
     lines = [f"class {name}({base}):", *_docstring(schema.get("description", name)), ""]
-    needed = schema.get("required", ())
-    for field, of_field in schema.get("properties", {}).items():
-        lines.append(f"    {field}: {_type(of_field)}{'' if field in needed else _default(of_field)}")
+    return lines + _fields(schema, [field for field in schema.get("properties", {}) if field not in inherited])
+
+
+def _fields(schema: Mapping[str, Any], fields: Iterable[str]) -> list[str]:
+    lines = []
+    for field in fields:
+        of_field = schema["properties"][field]
+        needed = field in schema.get("required", ())
+        lines.append(f"    {field}: {_type(of_field)}{'' if needed else _default(of_field)}")
         if "description" in of_field:
             lines += _docstring(of_field["description"])
     return lines
@@ -139,19 +170,6 @@ def _problems(document: Document) -> str:
 # --- operations
 
 
-def _answers(document: Document) -> str:
-    shapes = {_shape(o.answer) for o in document.operations if o.answer is not None and not o.plain}
-    used = sorted({name for shape in shapes for name in re.findall(r"\b[A-Z]\w+\b", shape)})
-    lines = _head("How answers are read, by their shape.", "from mavcal.client.base import Reader")
-    for module, known in _modules(document).items():
-        if chosen := sorted(known & set(used)):
-            lines.append(f"from mavcal.client.{module} import {', '.join(chosen)}")
-    lines.append("")
-    for shape in sorted(shapes):
-        lines.append(f"{_adapter(shape)}: Reader[{shape}] = Reader({shape})")
-    return _text(lines)
-
-
 def _modules(document: Document) -> dict[str, set[str]]:
     """Which module has which types."""
     models, requests, events = set(document.models()), document.requests(), document.events()
@@ -196,7 +214,6 @@ def _client(document: Document) -> str:
     imports.append(f"from collections.abc import {', '.join(sorted(kinds))}")
     if chosen := sorted(used & {"Any", "Literal"}):
         imports.append(f"from typing import {', '.join(chosen)}")
-    imports.append("from mavcal.client import answers")
     if "Number" in used:
         imports.append("from mavcal.client.base import Number")
     enums = {"enums": set(document.enums())}
@@ -224,14 +241,14 @@ def _method(operation: Operation) -> list[str]:
     path = re.sub(r"\{(\w+)\}", r"{segment(\1)}", operation.path)
     call = [f'{"f" if "{" in path else ""}"{path}"', *_further(operation)]
     if operation.stream:
-        call.insert(1, f"answers.{_adapter(_shape(operation.answer))}")
+        call.insert(1, _answer_type(operation))
         return [*lines, f"        return self._follow({', '.join(call)})"]
     call.insert(0, f'"{operation.method}"')
     if operation.answer is None:
         return [*lines, f"        await self._text({', '.join(call)})"]
     if operation.plain:
         return [*lines, f"        return await self._text({', '.join(call)})"]
-    call.insert(2, f"answers.{_adapter(_shape(operation.answer))}")
+    call.insert(2, told)
     return [*lines, f"        return await self._ask({', '.join(call)})"]
 
 
@@ -260,19 +277,7 @@ def _argument(parameter: Parameter) -> str:
 def _answer_type(operation: Operation) -> str:
     if operation.answer is None:
         return "None"
-    return "str" if operation.plain else _shape(operation.answer)
-
-
-def _shape(schema: Mapping[str, Any] | None) -> str:
-    return _type(schema or {})
-
-
-def _adapter(shape: str) -> str:
-    """A name for a shape: ``JOB_SUMMARY_LIST``."""
-    word = re.search(r"[A-Z]\w+", shape)
-    assert word is not None, shape
-    name = re.sub(r"(?<!^)(?=[A-Z])", "_", word.group()).upper()
-    return f"{name}_LIST" if shape.startswith("list") else name
+    return "str" if operation.plain else _type(operation.answer)
 
 
 # --- text

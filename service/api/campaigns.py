@@ -11,8 +11,7 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.dependencies import ServiceDep, relative
 from mavcal.service.api.jobs import JobDep
 from mavcal.service.api.models.campaigns import (
     CalibrationCampaignRequest,

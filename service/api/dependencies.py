@@ -1,4 +1,7 @@
-"""Dependencies of the routes: the application's parts by type."""
+"""What routes share: the application's parts by type, and references relative to a request.
+
+The service may live behind any path prefix, and cannot know it.
+"""
 
 from __future__ import annotations
 
@@ -14,3 +17,10 @@ def _service(request: Request) -> Service:
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+def relative(request: Request, target: str) -> str:
+    """`target`, given from the service's root, as seen from the address of `request` (RFC 3986, section 4.2)."""
+    path: bytes = request.scope.get("raw_path") or request.scope["path"].encode()
+    below = path.split(b"?")[0].removeprefix(request.scope.get("root_path", "").encode()).count(b"/") - 1
+    return "../" * max(below, 0) + target

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Request, Response
 
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.dependencies import ServiceDep, relative
 from mavcal.service.api.models.gaps import GapModel, GapRequest, GapSummary
 from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import document_response, gap_model, gap_summary

@@ -1,4 +1,8 @@
-"""Routes of jobs, and one event stream for the whole service: jobs, vehicles and links."""
+"""Routes of jobs, and one event stream for the whole service: jobs, vehicles and links.
+
+A review is a plan in words and pictures, for the person who accepts it; what is unfinished was left on a vehicle by an
+interrupted run.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,9 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary
-from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest
+from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary, UnfinishedModel
+from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest, ReviewModel
 from mavcal.service.api.models.steps import ProcedureModel
 from mavcal.service.api.models.vehicles import LinkModel, VehicleModel
 from mavcal.service.api.paging import page_of
@@ -30,6 +33,8 @@ from mavcal.service.api.views import (
     link_model,
     plan_model,
     procedure_model,
+    review_model,
+    unfinished_model,
     vehicle_model,
 )
 from mavcal.service.core import Service
@@ -37,6 +42,8 @@ from mavcal.service.errors import PlanMissing
 from mavcal.service.exports import MEDIA_TYPES, export
 from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.states import JobState
+from mavcal.service.reviews import review_of
+from mavcal.service.unfinished import unfinished
 
 log = structlog.get_logger(__name__)
 
@@ -49,6 +56,7 @@ Name = tuple[str, str]
 """`vehicle` or `link`, and its id."""
 State = VehicleModel | LinkModel
 router = APIRouter(tags=["jobs"])
+
 
 LastEventId = Annotated[
     int | None, Header(alias="Last-Event-ID", ge=0, le=2**62, description="id of the last message that was heard")
@@ -329,3 +337,39 @@ async def events(
     after = await service.store.do(service.store.last_event_id) if last_event_id is None else last_event_id
     async for event in everything(service, watch, sight, after):
         yield event
+
+
+@router.get("/unfinished", operation_id="list_unfinished", dependencies=[READ])
+async def list_unfinished(service: ServiceDep, sight: SightDep) -> list[UnfinishedModel]:
+    """Jobs that earlier runs have left unfinished, oldest first, as they were when this service began."""
+    return [unfinished_model(found) for found in service.left if sight.job(found.job)]
+
+
+@router.get("/jobs/{job_id}/unfinished", operation_id="get_unfinished", dependencies=[READ])
+async def get_unfinished(job_id: str, service: ServiceDep) -> UnfinishedModel:
+    """What a job has sent, and what is in doubt now."""
+    return unfinished_model(unfinished(service.store, service.jobs.get(job_id)))
+
+
+Columns = Annotated[int | None, Query(ge=1, le=9, description="charts a row; none: all in one row")]
+
+
+@router.get("/jobs/{job_id}/review", operation_id="get_review", dependencies=[READ])
+async def review(job: JobDep, service: ServiceDep) -> ReviewModel:
+    """What the plan of a job does, and what speaks for and against it; 409 while there is no plan."""
+    return review_model(job, await review_of(job, service.store))
+
+
+@router.get(
+    "/jobs/{job_id}/picture.svg",
+    operation_id="get_picture",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+    dependencies=[READ],
+)
+async def picture(job: JobDep, service: ServiceDep, columns: Columns = None) -> Response:
+    """Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn."""
+    found = await review_of(job, service.store, columns=columns)
+    if found.picture is None:
+        raise PlanMissing(f"the plan of job {job.id} has no picture: what is in force is not known")
+    return Response(str(found.picture), media_type="image/svg+xml")

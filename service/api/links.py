@@ -1,13 +1,18 @@
-"""Routes of links."""
+"""Routes of links and of signing keys; none of them gives a key back."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Request, Response
 
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models.vehicles import LinkModel, LinkRequest
-from mavcal.service.api.security import OPERATE, READ, SightDep
+from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.models.vehicles import (
+    LinkModel,
+    LinkRequest,
+    SigningKeyModel,
+    SigningKeyRequest,
+    SigningRequest,
+)
+from mavcal.service.api.security import ADMIN, OPERATE, READ, ActorDep, SightDep
 from mavcal.service.api.views import link_model
 from mavcal.service.errors import LinkUnknown
 
@@ -42,3 +47,32 @@ async def link(link_id: str, service: ServiceDep, sight: SightDep) -> LinkModel:
 async def close_link(link_id: str, service: ServiceDep) -> None:
     """Close a link; its recording stays. Not while a write needs it: 409."""
     await service.close_link(link_id)
+
+
+@router.get("/signing-keys", operation_id="list_signing_keys", dependencies=[ADMIN])
+async def signing_keys(service: ServiceDep) -> list[SigningKeyModel]:
+    """Every signing key by name, without the key."""
+    return list(await service.signing.all())
+
+
+@router.post("/signing-keys", operation_id="add_signing_key", status_code=201, dependencies=[ADMIN])
+async def add_signing_key(
+    body: SigningKeyRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+) -> SigningKeyModel:
+    """Keep a signing key, or make one."""
+    given = None if body.key is None else body.key.get_secret_value()
+    known = await service.signing.add(body.name, given, actor)
+    response.headers["Location"] = relative(request, "api/v1/signing-keys")
+    return known
+
+
+@router.delete("/signing-keys/{name}", operation_id="remove_signing_key", status_code=204, dependencies=[ADMIN])
+async def remove_signing_key(name: str, service: ServiceDep, actor: ActorDep) -> None:
+    """Forget a signing key that no open link uses."""
+    await service.signing.remove(name, actor)
+
+
+@router.post("/links/{link_id}/signing", operation_id="set_up_signing", dependencies=[ADMIN])
+async def set_up_signing(link_id: str, body: SigningRequest, service: ServiceDep, actor: ActorDep) -> LinkModel:
+    """Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it."""
+    return link_model(await service.signing.set_up(link_id, body.key, actor), service.vehicles)

@@ -14,7 +14,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from mavcal.calib.errors import CalibError
-from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import relative
 from mavcal.service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams, kinds
 
 log = structlog.get_logger(__name__)

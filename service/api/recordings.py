@@ -13,8 +13,7 @@ from starlette.requests import ClientDisconnect
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.report import to_json
-from mavcal.service.api.addresses import relative
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.dependencies import ServiceDep, relative
 from mavcal.service.api.models.fits import FitJobRequest, FitRequest, FitsModel
 from mavcal.service.api.models.jobs import JobModel
 from mavcal.service.api.models.recordings import (

@@ -1,19 +1,28 @@
-"""Routes of vehicles, and the state of their calibrations from jobs and from what a vehicle has said so far."""
+"""Routes of vehicles: their state, live samples, preflights, and putting the last verified calibration back.
+
+The state of the calibrations comes from jobs, and from what a vehicle has said so far. A watch has a vehicle send its
+live samples.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
+from contextlib import aclosing
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
-from mavcal.calib.recording import Recording
-from mavcal.service.api.dependencies import ServiceDep
+from mavcal.calib.recording import Channel, Recording
+from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.models.jobs import JobModel
+from mavcal.service.api.models.live import LiveModel, SamplesModel, WatchModel, WatchRequest
+from mavcal.service.api.models.preflight import PreflightModel, PreflightRequest, RestoreRequest
 from mavcal.service.api.models.vehicles import (
     HandRequest,
     ParameterModel,
@@ -21,14 +30,19 @@ from mavcal.service.api.models.vehicles import (
     VehicleModel,
     VehicleSensorsModel,
 )
-from mavcal.service.api.security import OPERATE, READ, Scope, SightDep, require
-from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
+from mavcal.service.api.security import OPERATE, READ, ActorDep, Scope, SightDep, require
+from mavcal.service.api.views import job_model, parameter_model, preflight_model, sensors_model, vehicle_model
 from mavcal.service.core import Service
+from mavcal.service.fixing import Fix, Fixable, fixed
 from mavcal.service.jobs.calibrate.history import history_of, verified_jobs
-from mavcal.service.vehicle import Vehicle
+from mavcal.service.live import LiveBatch, live_batches
+from mavcal.service.rates.watching import LiveStatus
 from mavcal.service.vehicle.job_vehicle import JobVehicle
+from mavcal.service.vehicle.rate_ledger import LiveWatch
+from mavcal.service.vehicle.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
+
 
 STATE_PERIOD_S = 1.0
 
@@ -110,3 +124,114 @@ async def stream(found: VehicleDep, service: ServiceDep, sight: SightDep) -> Asy
     while found in service.vehicles.all() and sight.vehicle(found.id):
         yield ServerSentEvent(data=vehicle_model(found), event="vehicle")
         await asyncio.sleep(STATE_PERIOD_S)
+
+
+@router.post(
+    "/vehicles/{vehicle_id}/watches",
+    operation_id="watch_vehicle",
+    status_code=201,
+    dependencies=[OPERATE],
+)
+async def watch_vehicle(
+    found: VehicleDep, body: WatchRequest, request: Request, response: Response, service: ServiceDep
+) -> WatchModel:
+    """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
+
+    Its former message rates are put back when the last watch is over, at once when it arms, and before a job chooses
+    its own. It is asked for nothing while it is armed or silent, or while a job runs.
+    """
+    begun = service.live.begin(found.id, body.rate_hz)
+    response.headers["Location"] = relative(request, f"api/v1/vehicles/{found.id}/samples?watch={begun.id}")
+    return WatchModel(id=begun.id, rate_hz=begun.rate_hz)
+
+
+def _watch(
+    found: VehicleDep,
+    service: ServiceDep,
+    watch: Annotated[
+        str | None, Query(description="a watch of this vehicle; without one it is asked for nothing")
+    ] = None,
+) -> LiveWatch | None:
+    """The watch of the request. A stream can answer 404 only here, before it begins."""
+    return None if watch is None else service.live.watch(watch, found.id)
+
+
+@router.get(
+    "/vehicles/{vehicle_id}/samples",
+    operation_id="follow_samples",
+    response_class=EventSourceResponse,
+    dependencies=[READ],
+)
+async def samples(
+    found: VehicleDep, service: ServiceDep, watch: Annotated[LiveWatch | None, Depends(_watch)]
+) -> AsyncIterator[ServerSentEvent]:
+    """What the sensors read, ten times a second, as the vehicle streams it."""
+    try:
+        async with aclosing(live_batches(found)) as batches:  # type: ignore[type-var]
+            async for batch in batches:
+                status = None if watch is None else service.live.taken(watch)
+                yield ServerSentEvent(data=_model(batch, status), event="samples")
+    finally:
+        if watch is not None:
+            service.live.left(watch)
+
+
+def _model(batch: LiveBatch, status: LiveStatus | None) -> LiveModel:
+    return LiveModel(
+        channels=_samples(batch.channels),
+        bare=_samples(batch.bare),
+        attitude=batch.attitude,
+        model_field_ut=batch.field,
+        loss=batch.loss,
+        watch=status,
+    )
+
+
+def _samples(channels: Sequence[Channel]) -> list[SamplesModel]:
+    return [
+        SamplesModel(
+            sensor=channel.sensor,
+            instance=channel.instance,
+            unit=channel.unit,
+            source=channel.source,
+            t=np.round(channel.t, 4).tolist(),
+            values=[[_digits(value) for value in axis] for axis in channel.values.T.tolist()],
+        )
+        for channel in channels
+    ]
+
+
+def _digits(value: float) -> float | None:
+    """Six significant digits: no sensor has more, and a phone's link is slow."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
+
+
+@router.post("/vehicles/{vehicle_id}/preflight", operation_id="run_preflight", dependencies=[OPERATE])
+async def run(
+    vehicle_id: str, body: PreflightRequest, request: Request, service: ServiceDep, actor: ActorDep
+) -> PreflightModel:
+    """Check a vehicle that stands still, in ten seconds (30 on a slow link).
+
+    409 while it is armed, silent, or has a job running.
+    """
+    service.vehicles.get(vehicle_id)
+    mended: tuple[Fix, ...] = ()
+    if body.fix:
+        await require(Scope.WRITE_PARAMS)(request)
+        mended = await fixed(service.jobs, vehicle_id, [Fixable(kind) for kind in body.fix], actor=actor)
+    return preflight_model(await service.jobs.preflight(vehicle_id, heading=body.heading), mended)
+
+
+@router.post(
+    "/vehicles/{vehicle_id}/restore", operation_id="restore_calibration", status_code=202, dependencies=[OPERATE]
+)
+async def restore(
+    vehicle_id: str, body: RestoreRequest, request: Request, response: Response, service: ServiceDep
+) -> JobModel:
+    """Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the plan.
+
+    409 if no calibration of this very unit was verified here.
+    """
+    model = job_model(await service.jobs.restore(vehicle_id, body.given()))
+    response.headers["Location"] = relative(request, model.href)
+    return model

@@ -27,7 +27,7 @@ from mavcal.service.jobs.core.codec import from_json, to_json
 from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.write.readiness import readiness_of
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.preflights import Preflight
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow

@@ -55,13 +55,21 @@ def files_of(folder: Path, pattern: str) -> list[str]:
 
 
 @dataclass(frozen=True)
-class FolderFits:
-    """Fits each file by one method. Options: `folder`, `reading`, `method`, `options`."""
+class FolderWork:
+    """Work on each file by a worker process with limits."""
 
     workers: Workers
     limits: Limits
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
+
+    async def cancelled(self, turn: ItemTurn) -> str:
+        """See ItemWork."""
+        return "The campaign was cancelled."
+
+
+class FolderFits(FolderWork):
+    """Fits each file by one method. Options: `folder`, `reading`, `method`, `options`."""
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
@@ -72,19 +80,9 @@ class FolderFits:
             return _failed(answer["error"], turn)
         return of_fits(answer["done"]["fits"], method, sha256=answer["sha256"], seconds=answer["seconds"])
 
-    async def cancelled(self, turn: ItemTurn) -> str:
-        """See ItemWork."""
-        return "The campaign was cancelled."
 
-
-@dataclass(frozen=True)
-class FolderGaps:
+class FolderGaps(FolderWork):
     """Diagnoses the gap of each file. Options: `folder`, `reading`, `sim`, `nominal`."""
-
-    workers: Workers
-    limits: Limits
-    lane: asyncio.Semaphore
-    most_starts: int | None = MOST_STARTS
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
@@ -107,10 +105,6 @@ class FolderGaps:
         )
         more = {"sha256": answer["sha256"], "seconds": answer["seconds"]}
         return of_diagnosis(turn.item, done["summary"], done["report"], documents, **more)
-
-    async def cancelled(self, turn: ItemTurn) -> str:
-        """See ItemWork."""
-        return "The campaign was cancelled."
 
 
 @dataclass(frozen=True)

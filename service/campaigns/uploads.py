@@ -19,16 +19,23 @@ from mavcal.service.jobs.uploads.computing import MOST_STARTS
 T = TypeVar("T")
 
 _PAUSE_S = 0.5
-_CANCELLED = "The campaign was cancelled; the computation was ended."
 
 
 @dataclass
-class UploadFits:
-    """Fits each upload by one method. Options: `method`, `options`."""
+class UploadWork:
+    """Work on each upload in a child process with limits."""
 
     computations: Computations
     lane: asyncio.Semaphore
     most_starts: int | None = MOST_STARTS
+
+    async def cancelled(self, turn: ItemTurn) -> str:
+        """See ItemWork."""
+        return "The campaign was cancelled; the computation was ended."
+
+
+class UploadFits(UploadWork):
+    """Fits each upload by one method. Options: `method`, `options`."""
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
@@ -36,18 +43,9 @@ class UploadFits:
         fits = await _patiently(lambda: self.computations.fit(turn.item.subject, method, options))
         return of_fits(to_json(fits), method)
 
-    async def cancelled(self, turn: ItemTurn) -> str:
-        """See ItemWork."""
-        return _CANCELLED
 
-
-@dataclass
-class UploadGaps:
+class UploadGaps(UploadWork):
     """A diagnosis of each upload against the same simulation. Options: `sim`, `nominal`."""
-
-    computations: Computations
-    lane: asyncio.Semaphore
-    most_starts: int | None = MOST_STARTS
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """See ItemWork."""
@@ -55,10 +53,6 @@ class UploadGaps:
         found = await _patiently(lambda: self.computations.diagnose(turn.item.subject, sim, nominal))
         report = json.loads(next(d.body for d in found.documents if d.name == REPORT))
         return of_diagnosis(turn.item, found.summary, report, found.documents)
-
-    async def cancelled(self, turn: ItemTurn) -> str:
-        """See ItemWork."""
-        return _CANCELLED
 
 
 async def _patiently(compute: Callable[[], Awaitable[T]]) -> T:

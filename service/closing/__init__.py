@@ -2,6 +2,6 @@
 
 The simulator is whatever a command starts and MAVLink flies. Order of the modules: `settings`, `command`, `simulator`,
 `logs` (a round's files and process) -> `link`, `autopilot`, `proof` (it is a simulator), `conversation`, `mission`,
-`pilot` (its flight) -> `logged`, `upload`, `follower` (its flight of a log's mission) -> `rounds` (what was
+`pilot` (its flight) -> `logged`, `follower` (its flight of a log's mission) -> `rounds` (what was
 measured), `work` (what is kept) -> `loop` -> `report` (words and a page).
 """

@@ -15,7 +15,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.logs.missions import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 
 VELOCITY_AND_YAW = 0b1001_1100_0111
 """type_mask: position, acceleration and yaw rate are to be ignored."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message
+from mavcal.calib.wire.codec import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.errors import MissionLeft, SimulatorSilent, SimulatorUnarmed
 from mavcal.service.closing.link import VehicleLink, text_of

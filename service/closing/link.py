@@ -10,12 +10,14 @@ from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import FrameParser, Message, decode, encode
+from mavcal.calib.wire.codec import Message, decode, encode
+from mavcal.calib.wire.frames import FrameParser
 from mavcal.service.closing.errors import OtherVehicle, SimulatorSilent
 from mavcal.service.errors import LinkDown, ServiceError
-from mavcal.service.link import Address, Endpoint, OwnIdentity
+from mavcal.service.link.endpoint import Endpoint
 from mavcal.service.link.link import transport_of
 from mavcal.service.link.transports import Disconnected, Transport
+from mavcal.service.link.types import Address, OwnIdentity
 
 HEARTBEAT_S = 1.0
 NOBODY_S = 2.5

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.logs.missions import LoggedMission, durations, read_mission, with_take_off
+from mavcal.calib.logs.missions.course import durations, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission
+from mavcal.calib.logs.missions.reading import read_mission
 from mavcal.service.closing.errors import NoMission
 from mavcal.service.closing.mission import MissionKind
 

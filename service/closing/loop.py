@@ -26,7 +26,7 @@ from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
 from mavcal.service.closing.work import WorkFolder
 from mavcal.service.errors import EndpointError
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 
 PORT = "{port}"
 CONNECT = f"tcp:127.0.0.1:{PORT}"

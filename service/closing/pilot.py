@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from mavcal.calib.wire import Message
+from mavcal.calib.wire.codec import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.conversation import HINT, TRY_S, Conversation
 from mavcal.service.closing.errors import MissionLeft, SimulatorUnarmed

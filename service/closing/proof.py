@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.simulated import StatedHardware, proofs_needed, why_no_simulator
-from mavcal.calib.wire import Message
+from mavcal.calib.wire.codec import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.errors import NoSimulator, SimulatorSilent
 from mavcal.service.closing.link import VehicleLink, text_of

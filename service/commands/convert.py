@@ -20,7 +20,7 @@ from mavcal.service.commands.reading import readable_file, reading_options
 def command(file: str, out: Path, raw: bool, as_json: bool, **reading: Any) -> None:
     """Turn a recording into a table: OUT ends in .csv or .npz."""
     from mavcal.calib import logs
-    from mavcal.calib.firmware import undo
+    from mavcal.calib.firmware.in_force.undo import undo
     from mavcal.calib.logs.tables import write_table
 
     recording = logs.read(readable_file(file), **reading)

@@ -99,10 +99,9 @@ def _serial() -> DoctorFinding:
 
 
 def _magnetic_model() -> DoctorFinding:
-    from mavcal.calib.earth import earth_field
+    from mavcal.calib.earth import decimal_year, earth_field
 
-    today = datetime.datetime.now(tz=datetime.UTC).date()
-    year = today.year + (today.timetuple().tm_yday - 1) / 365.25
+    year = decimal_year(datetime.datetime.now(tz=datetime.UTC))
     try:
         field = earth_field(0.0, 0.0, 0.0, year)
     except CalibError as error:

@@ -17,8 +17,8 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.preflights import Preflight
 from mavcal.service.store.rows import UnitRow
 from mavcal.service.store.sql import Store
-from mavcal.service.vehicle import VehicleRegistry
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 log = structlog.get_logger(__name__)
 
@@ -31,10 +31,9 @@ _DECIDED = frozenset({JobState.SUCCEEDED, JobState.IN_DOUBT, JobState.ROLLING_BA
 class FleetBook:
     """What the service writes down about units; what it reads comes straight from the store."""
 
-    def __init__(self, store: Store, vehicles: VehicleRegistry, wall: Callable[[], float] = time.time) -> None:
+    def __init__(self, store: Store, vehicles: VehicleRegistry) -> None:
         self._store = store
         self._vehicles = vehicles
-        self._wall = wall
         self.measured = 1
         """Grows whenever a sensor was measured here; not 0: what the store has was not looked at yet."""
         self._forget = vehicles.subscribe(self._heard)
@@ -50,7 +49,7 @@ class FleetBook:
             if vehicle.id == event.vehicle_id:
                 known = vehicle.identity
                 see = partial(self._store.see_unit, vehicle.id, known.autopilot.value, known.version_text)
-                self._store.soon(partial(self._kept, partial(see, self._wall())))
+                self._store.soon(partial(self._kept, partial(see, time.time())))
 
     # --- jobs and preflights
 

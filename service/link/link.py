@@ -12,7 +12,8 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message, RawMessage, raw_message, signing_time
+from mavcal.calib.wire.codec import Message, RawMessage, raw_message
+from mavcal.calib.wire.signing import signing_time
 from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
@@ -199,14 +200,18 @@ class Link:
             If the message cannot be encoded.
         """
         raw = raw_message(message)
-        reader = self._reader
-        if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
-            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        reader = self._connected()
         if not self._transport.answers:
             raise LinkDown(f"Link {self.id} replays a recording: nobody there can answer.")
         if target is not None and not (reader.peers.address(*target) or self._transport.default_peer()):
             raise LinkDown(f"Link {self.id}: nobody with system id {target[0]} was heard yet.")
         reader.send(Outgoing(raw, target))
+
+    def _connected(self) -> Reader:
+        """The reader. Raises LinkDown if the link is not connected."""
+        if self._reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
+            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        return self._reader
 
     @property
     def signing_key(self) -> str | None:
@@ -267,9 +272,7 @@ class Link:
         LinkDown
             If the link is not connected, or its reader does not come to look.
         """
-        reader = self._reader
-        if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
-            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        reader = self._connected()
         done = asyncio.Event()
         reader.look(done.set)
         waiting = asyncio.ensure_future(done.wait())

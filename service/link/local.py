@@ -18,7 +18,8 @@ from pathlib import Path
 
 import serial
 
-from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
 from mavcal.service.link.endpoint import Endpoint
 from mavcal.service.link.transports import Chunk, Disconnected, Transport

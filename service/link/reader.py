@@ -16,7 +16,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from mavcal.calib.wire import Frame, FrameParser, RawMessage, SignatureState, encode, signing_time
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.frames import Frame, FrameParser
+from mavcal.calib.wire.signing import SignatureState, signing_time
 from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
 from mavcal.service.link.loss import SequenceCounter
 from mavcal.service.link.peers import PeerTable

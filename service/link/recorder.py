@@ -11,7 +11,7 @@ import os
 import time
 from pathlib import Path
 
-from mavcal.calib.wire import tlog_record
+from mavcal.calib.wire.tlog import tlog_record
 from mavcal.service.errors import DiskFull, StoreError
 
 _RETRY_S = 1.0

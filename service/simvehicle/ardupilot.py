@@ -44,40 +44,40 @@ class ArduPilotVehicle(FlightController):
     # --- Vehicle
 
     def make_table(self) -> ParameterTable:
-        """See Vehicle."""
+        """See FlightController."""
         return ParameterTable(names.ardupilot_table(self.config), self._listed)
 
     def _listed(self, name: str) -> bool:
         return not names.hidden_by_group(name, self.table.mapping())
 
     def load_parameters(self, parameters: list[SimParameter]) -> None:
-        """See Vehicle. A table that names our accelerometers says that they were calibrated and stored."""
+        """See FlightController. A table that names our accelerometers says that they were calibrated and stored."""
         super().load_parameters(parameters)
         ids = names.ACCEL_IDS[: self.config.imu_count]
         self.stored.accels = {k for k, i in enumerate(ids) if self.table.get(names.id_name("ACC", k)) == i}
 
     def flush_saves(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.parameters.flush()
 
     def device_ids(self) -> dict[str, tuple[int, ...]]:
-        """See Vehicle."""
+        """See FlightController."""
         return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}
 
     def arming_faults(self) -> list[str]:
-        """See Vehicle."""
+        """See FlightController."""
         return [f"PreArm: {reason}" for reason in self.commands.arming_faults()]
 
     def foreign_set(self, name: str, value: float) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.parameters.set(name, value)
 
     def start_onboard_calibration(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.mag_calibration.start(0, autosave=False)
 
     def boot(self) -> None:
-        """See Vehicle: latch what needs a reboot, calibrate the gyros unless told not to, begin to talk."""
+        """See FlightController: latch what needs a reboot, calibrate the gyros unless told not to, begin to talk."""
         self.sensors.detect()
         self.messages.tilt.boot()
         self.commands.boot()
@@ -90,7 +90,7 @@ class ArduPilotVehicle(FlightController):
         self.at(0.5, lambda: self.say(self.banner()[0]))
 
     def handle(self, channel: MavlinkChannel, received: Received) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         if self.commands.deaf:
             return
         name, message = received.name, received.message
@@ -108,21 +108,21 @@ class ArduPilotVehicle(FlightController):
             self.send(channel, dialect.MAVLink_timesync_message(now, int(message.ts1)))
 
     def stop_onboard_calibration(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.mag_calibration.cancel()
 
     def sense(self, until: float) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.sensors.reader.advance(until)
         self.messages.tilt.advance(until, flying=self.telemetry.flying)
 
     def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         if not self.commands.stalled:
             self.messages.emit(due, times)
 
     def heartbeat(self) -> Any:
-        """See Vehicle: a copter on the ground says STANDBY even when armed."""
+        """See FlightController: a copter on the ground says STANDBY even when armed."""
         mode = BASE_MODE_DISARMED + (ARMED_BIT if self.armed else 0)
         status = dialect.MAV_STATE_ACTIVE if self.telemetry.flying else dialect.MAV_STATE_STANDBY
         return dialect.MAVLink_heartbeat_message(
@@ -130,7 +130,7 @@ class ArduPilotVehicle(FlightController):
         )
 
     def in_force(self) -> dict[str, Any]:
-        """See Vehicle."""
+        """See FlightController."""
         return {p.name: self.table.get(p.name) for p in self.table}
 
     # --- what it says by itself

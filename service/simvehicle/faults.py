@@ -130,11 +130,11 @@ class Injector:
         if trigger == "now":
             return None, None
         if isinstance(trigger, Mapping) and "time" in trigger:
-            return _finite("trigger.time", trigger["time"]), None
+            return finite("trigger.time", trigger["time"]), None
         if isinstance(trigger, Mapping) and "after_s" in trigger:
-            return self._vehicle.time + _finite("trigger.after_s", trigger["after_s"]), None
+            return self._vehicle.time + finite("trigger.after_s", trigger["after_s"]), None
         if isinstance(trigger, Mapping) and "nth_set" in trigger:
-            return None, self._vehicle.set_count + int(_finite("trigger.nth_set", trigger["nth_set"]))
+            return None, self._vehicle.set_count + int(finite("trigger.nth_set", trigger["nth_set"]))
         raise ControlError('trigger must be "now", {"time": t}, {"after_s": s} or {"nth_set": n}')
 
     def _check(self, fault: Fault) -> None:
@@ -143,7 +143,7 @@ class Injector:
             _impairment_values(fault)
             _direction(fault)
         for name in ("duration_s", "delay_s", "count", "value", "instance", "link"):
-            _finite(name, fault.options.get(name, 0))
+            finite(name, fault.options.get(name, 0))
         if fault.kind == "cut" and not 0 <= int(fault.options.get("link", 0)) < len(self._site.links):
             raise ControlError(f"there is no link {fault.options['link']}")
         if fault.kind in ("not_applied", "foreign_write") and not (fault.nth_set and "name" not in fault.options):
@@ -212,11 +212,11 @@ class Injector:
             )
 
     def _silence(self, fault: Fault, _name: str | None) -> None:
-        seconds = _finite("duration_s", fault.options.get("duration_s", DEFAULT_SILENCE_S))
+        seconds = finite("duration_s", fault.options.get("duration_s", DEFAULT_SILENCE_S))
         self._vehicle.silent_until = self._vehicle.time + seconds
 
     def _echo(self, fault: Fault) -> None:
-        self._echoes.append((fault, int(_finite("count", fault.options.get("count", 1)))))
+        self._echoes.append((fault, int(finite("count", fault.options.get("count", 1)))))
 
     def _filter_echo(self, name: str, echo: Callable[[], None]) -> None:
         """Decide what becomes of the echo of a PARAM_SET."""
@@ -226,7 +226,7 @@ class Injector:
             fault.struck.append(self._vehicle.elapsed)
             self._echoes[i : i + 1] = [(fault, left - 1)] if left > 1 else []
             if fault.kind == "late_echo":
-                self._vehicle.at(_finite("delay_s", fault.options.get("delay_s", DEFAULT_ECHO_DELAY_S)), echo)
+                self._vehicle.at(finite("delay_s", fault.options.get("delay_s", DEFAULT_ECHO_DELAY_S)), echo)
             return
         echo()
 
@@ -258,7 +258,7 @@ class Injector:
 
     def _sensor(self, fault: Fault, _name: str | None) -> None:
         sensor = str(fault.options.get("sensor", "accel"))
-        instance = int(_finite("instance", fault.options.get("instance", 0)))
+        instance = int(finite("instance", fault.options.get("instance", 0)))
         self._vehicle.faults.set(sensor, instance, SensorFault(fault.kind))
 
     def _move(self) -> None:
@@ -283,21 +283,22 @@ def _direction(fault: Fault) -> str:
 def _impairment_values(fault: Fault) -> dict[str, float]:
     if fault.kind == "delay":
         return {
-            "delay_s": _finite("delay_s", fault.options.get("delay_s", 0.2)),
-            "jitter_s": _finite("jitter_s", fault.options.get("jitter_s", 0.0)),
+            "delay_s": finite("delay_s", fault.options.get("delay_s", 0.2)),
+            "jitter_s": finite("jitter_s", fault.options.get("jitter_s", 0.0)),
         }
     if fault.kind == "throttle":
-        carried = _finite("bytes_per_s", fault.options.get("bytes_per_s", 5760.0))
+        carried = finite("bytes_per_s", fault.options.get("bytes_per_s", 5760.0))
         if carried <= 0:
             raise ControlError(f"bytes_per_s must be above 0, got {carried}")
-        return {"bytes_per_s": carried, "buffer_bytes": _finite("buffer_bytes", fault.options.get("buffer_bytes", 512))}
-    probability = _finite("p", fault.options.get("p", 0.1))
+        return {"bytes_per_s": carried, "buffer_bytes": finite("buffer_bytes", fault.options.get("buffer_bytes", 512))}
+    probability = finite("p", fault.options.get("p", 0.1))
     if not 0 <= probability <= 1:
         raise ControlError(f"p must be a probability, got {probability}")
     return {fault.kind: probability}
 
 
-def _finite(name: str, value: Any) -> float:
+def finite(name: str, value: Any) -> float:
+    """`value` as a number. Raises ControlError if it is none, or not finite."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ControlError(f"{name} must be a finite number, got {value!r}")
     return float(value)

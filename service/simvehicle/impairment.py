@@ -160,15 +160,15 @@ class FaultyLink:
         return hit
 
     def vehicle_rebooted(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._link.vehicle_rebooted()
 
     def move(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._link.move()
 
     def disconnect(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._link.disconnect()
 
     def close(self) -> None:

@@ -81,7 +81,25 @@ class SimEndpoint(ABC):
         """Go on from another local address, as a peer behind a new network does."""
 
 
-class UdpOut(SimEndpoint):
+class UdpEndpoint(SimEndpoint):
+    """What both directions of UDP have in common."""
+
+    _socket: socket.socket
+
+    def sockets(self) -> list[socket.socket | int]:
+        """See SimEndpoint."""
+        return [self._socket]
+
+    def messages(self, data: bytes) -> Iterator[Received]:
+        """See SimEndpoint."""
+        return iter(split_datagram(data))
+
+    def close(self) -> None:
+        """See SimEndpoint."""
+        self._socket.close()
+
+
+class UdpOut(UdpEndpoint):
     """Sends to a fixed ground station from a port of its own."""
 
     def __init__(self, target: str) -> None:
@@ -89,34 +107,22 @@ class UdpOut(SimEndpoint):
         self._socket = bound_socket(socket.SOCK_DGRAM, ("0.0.0.0", 0))  # noqa: S104 - answers come from any route
         self.url = f"udpin:{target}"
 
-    def sockets(self) -> list[socket.socket | int]:
-        """See Link."""
-        return [self._socket]
-
     def poll(self) -> Iterator[bytes]:
-        """See Link."""
+        """See SimEndpoint."""
         for data, _ in _datagrams(self._socket):
             yield data
 
-    def messages(self, data: bytes) -> Iterator[Received]:
-        """See Link."""
-        return iter(split_datagram(data))
-
     def send(self, frame: bytes) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         _send_datagram(self._socket, frame, self._target)
 
     def move(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._socket.close()
         self._socket = bound_socket(socket.SOCK_DGRAM, ("0.0.0.0", 0))  # noqa: S104
 
-    def close(self) -> None:
-        """See Link."""
-        self._socket.close()
 
-
-class UdpIn(SimEndpoint):
+class UdpIn(UdpEndpoint):
     """Listens, and answers the ground station that spoke: the first one for ever (PX4), or the latest (ArduPilot)."""
 
     def __init__(self, address: str, *, first_for_ever: bool) -> None:
@@ -126,29 +132,17 @@ class UdpIn(SimEndpoint):
         self._first_for_ever = first_for_ever
         self._peer: Address | None = None
 
-    def sockets(self) -> list[socket.socket | int]:
-        """See Link."""
-        return [self._socket]
-
     def poll(self) -> Iterator[bytes]:
-        """See Link."""
+        """See SimEndpoint."""
         for data, sender in _datagrams(self._socket):
             if self._peer is None or not self._first_for_ever:
                 self._peer = sender
             yield data
 
-    def messages(self, data: bytes) -> Iterator[Received]:
-        """See Link."""
-        return iter(split_datagram(data))
-
     def send(self, frame: bytes) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         if self._peer is not None:
             _send_datagram(self._socket, frame, self._peer)
-
-    def close(self) -> None:
-        """See Link."""
-        self._socket.close()
 
 
 class TcpServer(SimEndpoint):
@@ -164,11 +158,11 @@ class TcpServer(SimEndpoint):
         self._splitter = Splitter()
 
     def sockets(self) -> list[socket.socket | int]:
-        """See Link."""
+        """See SimEndpoint."""
         return [self._listener if self._client is None else self._client]
 
     def poll(self) -> Iterator[bytes]:
-        """See Link."""
+        """See SimEndpoint."""
         if self._client is None:
             self._accept()
         client = self._client
@@ -195,11 +189,11 @@ class TcpServer(SimEndpoint):
         self._splitter = Splitter()
 
     def messages(self, data: bytes) -> Iterator[Received]:
-        """See Link."""
+        """See SimEndpoint."""
         return self._splitter.feed(data)
 
     def send(self, frame: bytes) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         if self._client is None or len(self._unsent) > MAX_UNSENT:
             return
         self._unsent += frame
@@ -213,7 +207,7 @@ class TcpServer(SimEndpoint):
         del self._unsent[:sent]
 
     def disconnect(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._drop()
 
     def _drop(self) -> None:
@@ -223,11 +217,11 @@ class TcpServer(SimEndpoint):
         self._unsent.clear()
 
     def vehicle_rebooted(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._drop()
 
     def close(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         self._drop()
         self._listener.close()
 
@@ -245,25 +239,25 @@ class SerialPort(SimEndpoint):
         self._splitter = Splitter()
 
     def sockets(self) -> list[socket.socket | int]:
-        """See Link."""
+        """See SimEndpoint."""
         return [self._ours]
 
     def poll(self) -> Iterator[bytes]:
-        """See Link."""
+        """See SimEndpoint."""
         with suppress(OSError):
             yield os.read(self._ours, DATAGRAM)
 
     def messages(self, data: bytes) -> Iterator[Received]:
-        """See Link."""
+        """See SimEndpoint."""
         return self._splitter.feed(data)
 
     def send(self, frame: bytes) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         with suppress(OSError):  # nobody reads, and the line is full
             os.write(self._ours, frame)
 
     def close(self) -> None:
-        """See Link."""
+        """See SimEndpoint."""
         os.close(self._ours)
         os.close(self._theirs)
 

@@ -56,7 +56,7 @@ class AtRest:
         self._q = q
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         return np.tile(self._q, (len(t), 1)), np.zeros((len(t), 3))
 
 
@@ -70,7 +70,7 @@ class Tremor:
         self._size = rms_rad * math.sqrt(2.0 / TREMOR_TONES)
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         tau = t - self._start
         arg = self._omega[None] * tau[:, None, None] + self._phase[None]
         wave = self._size * np.sin(arg).sum(axis=2)
@@ -104,7 +104,7 @@ class AttitudeChange:
         self._vector = vector_from_quaternion(multiply(conjugate(q_from), q_to))
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         x = np.clip((t - self._start) / self._duration, 0.0, 1.0)
         s = x**3 * (10 - 15 * x + 6 * x * x)
         s_rate = 30 * x * x * (1 - x) ** 2 / self._duration
@@ -131,7 +131,7 @@ class TurntableTurn:
         self._q, self._start, self._omega = q, start, axis * rate
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         elapsed, speed = _ramped(t - self._start)
         return multiply(self._q, quaternion_from_vector(elapsed[:, None] * self._omega)), speed[:, None] * self._omega
 
@@ -147,7 +147,7 @@ class WholeTurns:
         self._duration = angle / steady + RAMP_S
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         tau = np.clip(t - self._start, 0.0, self._duration)
         ahead, speed = _ramped(np.minimum(tau, self._duration - tau))
         elapsed = np.where(tau <= 0.5 * self._duration, ahead, self._duration - RAMP_S - ahead)
@@ -158,22 +158,22 @@ class Tumble:
     """Smooth tumbling through all directions: Euler angles z, x, z at steady incommensurate rates.
 
     With q = q₀ ⊗ Z(a) ⊗ X(b) ⊗ Z(c) the body rate is ċ·e₃ + Zᵀ(c)·ḃ·e₁ + Zᵀ(c)·Xᵀ(b)·ȧ·e₃. Its length stays within
-    about ±17 % of the rate of the moment. That rate swells and fades about the asked one by `surge` of it, as a hand's
+    about ±17 % of the rate of the moment. That rate swells and fades about the asked one by SURGE of it, as a hand's
     does: what a window of 100 ms does to a compass depends on it.
     """
 
     PROPORTIONS = (0.2638, 0.7907, 0.5523)  # of ȧ, ḃ, ċ to the mean rate; squares add up to 1
 
-    def __init__(self, q: Array, start: float, rate: float, surge: float = SURGE) -> None:
-        self._q, self._start, self._surge = q, start, surge
+    def __init__(self, q: Array, start: float, rate: float) -> None:
+        self._q, self._start = q, start
         self._rates = rate * np.array(self.PROPORTIONS)
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         elapsed, speed = _ramped(t - self._start)
         omega = 2.0 * math.pi * SURGE_HZ
-        speed = speed * (1.0 + self._surge * np.cos(omega * elapsed))
-        elapsed = elapsed + self._surge * np.sin(omega * elapsed) / omega
+        speed = speed * (1.0 + SURGE * np.cos(omega * elapsed))
+        elapsed = elapsed + SURGE * np.sin(omega * elapsed) / omega
         zero = np.zeros_like(elapsed)
         a, b, c = (rate * elapsed for rate in self._rates)
         z_a = quaternion_from_vector(np.stack([zero, zero, a], axis=1))
@@ -259,9 +259,9 @@ class CurrentMotion:
         self._segment = whole or TurntableTurn(q, t, vector / length, rate)
         self.name = "turn"
 
-    def tumble(self, t: float, rate_dps: float = 45.0, surge: float = SURGE) -> None:
-        """Tumble through all directions; the rate swells and fades by `surge` of it."""
-        self._segment, self.name = Tumble(self.attitude(t), t, math.radians(rate_dps), surge), "tumble"
+    def tumble(self, t: float, rate_dps: float = 45.0) -> None:
+        """Tumble through all directions; the rate swells and fades."""
+        self._segment, self.name = Tumble(self.attitude(t), t, math.radians(rate_dps)), "tumble"
 
     def jolt(self, t: float, peak: Sequence[float], duration_s: float = 0.1) -> None:
         """A half-sine shock of specific force (m/s², body frame), beginning now."""
@@ -284,7 +284,7 @@ class ClockShifted:
         self._segment, self._elapsed = segment, elapsed
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """See Segment."""
+        """See MotionSegment."""
         return self._segment.evaluate(t + self._elapsed)
 
 

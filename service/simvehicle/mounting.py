@@ -35,6 +35,14 @@ def stated(config: VehicleConfig) -> Iterator[tuple[int, tuple[float, float, flo
             yield config.mag_orientations[mag], true_angles(config, mag)
 
 
+def numbered_mounting(number: int) -> Array:
+    """R of a mounting number; an unknown one acts as none, as an out-of-range enum does in the firmware."""
+    try:
+        return mounting_matrix(number)
+    except ConfigurationError:
+        return mounting_matrix(0)
+
+
 class CustomRotations:
     """ArduPilot's two rotations by angles (AP_CustomRotations.cpp).
 
@@ -64,10 +72,5 @@ class CustomRotations:
         return self._made[number]
 
     def mounting(self, number: float) -> Array:
-        """R of a mounting number; an unknown one acts as none, as an out-of-range enum does in the firmware."""
-        if int(number) in ARDUPILOT_CUSTOM:
-            return self.matrix(int(number))
-        try:
-            return mounting_matrix(int(number))
-        except ConfigurationError:
-            return mounting_matrix(0)
+        """R of a mounting number, be it that of a rotation by angles."""
+        return self.matrix(int(number)) if int(number) in ARDUPILOT_CUSTOM else numbered_mounting(int(number))

@@ -36,15 +36,15 @@ class Px4Vehicle(FlightController):
         self.writer = GyroWriter(self, self.sensors, self.parameters, lambda: self.commands.calibrating)
 
     def make_table(self) -> ParameterTable:
-        """See Vehicle."""
+        """See FlightController."""
         return ParameterTable(names.px4_table(self.config))
 
     def load_parameters(self, parameters: list[SimParameter]) -> None:
-        """See Vehicle: PX4 lists by name, whatever the order of the file."""
+        """See FlightController: PX4 lists by name, whatever the order of the file."""
         self.table.replace_all(parameters, by_name=True)
 
     def boot(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.sensors.boot()
         self.parameters.boot()
         names.mark_used(self.table, thermal_runs=not self.config.sitl)
@@ -58,7 +58,7 @@ class Px4Vehicle(FlightController):
             self.broadcast(self.heartbeat())
 
     def handle(self, channel: MavlinkChannel, received: Received) -> None:
-        """See Vehicle. REQUEST_DATA_STREAM is not handled at all; a frozen vehicle knows only parameters."""
+        """See FlightController. REQUEST_DATA_STREAM is not handled at all; a frozen vehicle knows only parameters."""
         name = received.name
         if name.startswith("PARAM_"):
             self.parameters.handle(channel, received)
@@ -71,22 +71,22 @@ class Px4Vehicle(FlightController):
             self.send(channel, dialect.MAVLink_timesync_message(now, int(received.message.ts1)))
 
     def stop_onboard_calibration(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.commands.calibration.cancel()
 
     def sense(self, until: float) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.sensors.reader.advance(until)
         if not self.parameters.frozen:
             self.writer.advance(until)
 
     def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         if not self.parameters.frozen:
             self.messages.emit(due, times)
 
     def heartbeat(self) -> Any:
-        """See Vehicle."""
+        """See FlightController."""
         mode = BASE_MODE_DISARMED + (ARMED_BIT if self.armed else 0)
         return dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_PX4, mode, CUSTOM_MODE, self._status(), 3
@@ -100,7 +100,7 @@ class Px4Vehicle(FlightController):
         return int(dialect.MAV_STATE_STANDBY if self.commands.ready else dialect.MAV_STATE_UNINIT)
 
     def in_force(self) -> dict[str, Any]:
-        """See Vehicle: memory where it differs from what is stored."""
+        """See FlightController: memory where it differs from what is stored."""
         values: dict[str, Any] = {p.name: self.table.get(p.name) for p in self.table}
         for memory in (*self.sensors.accels, *self.sensors.gyros, *self.sensors.mags):
             values |= memory.as_parameters()
@@ -110,27 +110,27 @@ class Px4Vehicle(FlightController):
         return values
 
     def flush_saves(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.parameters.save()
 
     def device_ids(self) -> dict[str, tuple[int, ...]]:
-        """See Vehicle."""
+        """See FlightController."""
         return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}
 
     def arming_faults(self) -> list[str]:
-        """See Vehicle."""
+        """See FlightController."""
         return self.commands.arming_faults()
 
     def foreign_set(self, name: str, value: float) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.parameters.write({name: value if self.table[name].is_float else int(value)})
 
     def reload_calibration(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self._parameters_updated()
 
     def start_onboard_calibration(self) -> None:
-        """See Vehicle."""
+        """See FlightController."""
         self.commands.calibration.wait_for_sides("mag")
 
     def _parameters_updated(self) -> None:

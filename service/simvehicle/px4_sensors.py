@@ -8,12 +8,11 @@ import numpy as np
 
 from mavcal.service.simvehicle import px4_parameters as names
 from mavcal.service.simvehicle.corrections import px4_accel, px4_gyro, px4_mag, px4_thermal
-from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.magreader import MagReader
-from mavcal.service.simvehicle.mounting import ANGLES, PX4_CUSTOM
+from mavcal.service.simvehicle.mounting import ANGLES, PX4_CUSTOM, numbered_mounting
 from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.px4_memory import SensorMemory
-from mavcal.service.simvehicle.rotation import Array, matrix_from_degrees, mounting_matrix
+from mavcal.service.simvehicle.rotation import Array, matrix_from_degrees
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
 from mavcal.service.simvehicle.world import ImuReading, MotionState, SimWorld
 
@@ -52,7 +51,7 @@ class Px4Sensors:
         self.mags = [SensorMemory("MAG", names.MAG_IDS[k]) for k in range(len(self.world.truth.mags))]
         runs = not self.world.config.sitl
         self.thermal_on = {s: runs and self._table.get(f"TC_{s}_ENABLE") != 0 for s in ("A", "G")}
-        self._board = _mounting(int(self._table.get("SENS_BOARD_ROT")))
+        self._board = numbered_mounting(int(self._table.get("SENS_BOARD_ROT")))
         self._thermal: dict[tuple[str, int], ThermalSet | None] = {}
         self.reader.restart()
         self.update(armed=False)
@@ -150,7 +149,7 @@ class Px4Sensors:
         if memory.rotation == PX4_CUSTOM and memory.slot is not None:
             base = f"CAL_MAG{memory.slot}"
             return np.asarray(self.level @ matrix_from_degrees(*(self._table.get(f"{base}_{a}") for a in ANGLES)))
-        return np.asarray(self.level @ _mounting(memory.rotation))
+        return np.asarray(self.level @ numbered_mounting(memory.rotation))
 
     def _power(self, t: Array, *, armed: bool) -> Array:
         kind = int(self._table.get("CAL_MAG_COMP_TYP"))
@@ -159,10 +158,3 @@ class Px4Sensors:
         if kind in COMPENSATION_CURRENT:
             return np.asarray(self.world.current.at(t) / 1000.0)
         return np.zeros(len(t))
-
-
-def _mounting(orientation: int) -> Array:
-    try:
-        return mounting_matrix(orientation)
-    except ConfigurationError:
-        return np.eye(3)

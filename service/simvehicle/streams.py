@@ -38,7 +38,7 @@ class ArduPilotStream(PeriodicMessage):
     """Interval in whole milliseconds; sent by the first main loop after it has passed, without drift."""
 
     def due(self, until: float) -> list[float]:
-        """See Stream."""
+        """See PeriodicMessage."""
         times: list[float] = []
         while True:
             sent = math.ceil(self.anchor / ARDUPILOT_LOOP_S - 1e-6) * ARDUPILOT_LOOP_S
@@ -52,7 +52,7 @@ class Px4Stream(PeriodicMessage):
     """MavlinkStream::update: polled every 4 ms; keeps its phase only while less than 1.5 intervals late."""
 
     def due(self, until: float) -> list[float]:
-        """See Stream."""
+        """See PeriodicMessage."""
         times: list[float] = []
         # The first poll that can send: the rest would only be polls that refuse.
         while True:

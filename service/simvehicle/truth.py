@@ -98,8 +98,8 @@ def draw_truth(config: VehicleConfig) -> VehicleTruth:
     return VehicleTruth(tuple(accels), tuple(gyros), tuple(mags))
 
 
-def _signed(rng: np.random.Generator, bounds: tuple[float, float], size: int = 3) -> Array:
-    return np.asarray(rng.uniform(*bounds, size=size) * rng.choice([-1.0, 1.0], size=size))
+def _signed(rng: np.random.Generator, bounds: tuple[float, float]) -> Array:
+    return np.asarray(rng.uniform(*bounds, size=3) * rng.choice([-1.0, 1.0], size=3))
 
 
 def _inertial(

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mavcal.service.simvehicle.errors import ControlError
-from mavcal.service.simvehicle.faults import Injector
+from mavcal.service.simvehicle.faults import Injector, finite
 from mavcal.service.simvehicle.mounting import true_angles, true_mounting
 from mavcal.service.simvehicle.rotation import Array, matrices_from_quaternions, quaternion_from_vector
 from mavcal.service.simvehicle.scripts import SCRIPTS
@@ -250,10 +250,7 @@ class Verbs:
 
 
 def _number(request: Request, name: str, default: float | None = None) -> float:
-    value = request.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ControlError(f"{name} must be a finite number, got {value!r}")
-    return float(value)
+    return finite(name, request.get(name, default))
 
 
 def _vector(request: Request, name: str) -> Array:

@@ -221,14 +221,14 @@ class SimWorld:
         raw = raw + self.added.get((kind, instance), 0.0)
         return raw + self._wandered(kind, instance, t) + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
 
-    def mag(self, instance: int, field_body: Array, t: Array, noise_scale: float = 1.0) -> Array:
+    def mag(self, instance: int, field_body: Array, t: Array) -> Array:
         """Raw magnetometer (N, 3), µT, in the chip's frame, from the Earth field in the body frame."""
         truth = self.truth.mags[instance]
         if instance in self.bends:
             field_body = field_body @ self.bends[instance].T
         raw = truth.distort(field_body @ self.mag_from_body[instance].T) + self.added.get(("mags", instance), 0.0)
         raw = raw + self.current.at(t)[:, None] * truth.motor
-        return raw + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
+        return raw + self._noise.normal(0.0, truth.noise, raw.shape)
 
     def restart(self, elapsed: float) -> None:
         """The firmware reboots and its clock begins again at zero; the physical world goes on."""

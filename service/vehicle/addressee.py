@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from mavcal.calib.wire import Message, RawMessage
-from mavcal.service.link import OwnIdentity
+from mavcal.calib.wire.codec import Message, RawMessage
+from mavcal.service.link.types import OwnIdentity
 from mavcal.service.vehicle.state import VehicleState
 from mavcal.service.vehicle.waits import Waits
 

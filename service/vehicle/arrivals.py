@@ -10,9 +10,9 @@ import math
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
-from mavcal.calib.wire import Frame
-from mavcal.service.link import Batch, LinkStatistics
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.link.capacity import Arrivals
+from mavcal.service.link.types import Batch, LinkStatistics
 from mavcal.service.vehicle.boot_time import own_time
 
 if TYPE_CHECKING:

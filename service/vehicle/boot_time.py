@@ -8,7 +8,8 @@ from collections import deque
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, padded_payload
+from mavcal.calib.wire.codec import padded_payload
+from mavcal.calib.wire.frames import Frame
 
 _BACK_S = 1.0
 _BACK_COUNT = 3

@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable, Iterator
 
 from mavcal.service.errors import LinkDown
-from mavcal.service.link import Link
 from mavcal.service.link.capacity import nominal_capacity
+from mavcal.service.link.link import Link
 from mavcal.service.vehicle.boot_time import BootClock
 from mavcal.service.vehicle.state import SILENT_S
 

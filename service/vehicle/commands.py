@@ -8,7 +8,8 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, decode
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, VehicleSilent
 from mavcal.service.vehicle.addressee import Addressee
 

@@ -6,7 +6,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from mavcal.calib.wire import ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire.parameters import ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import ParameterRejected
 
 _RANGE = {

@@ -8,7 +8,8 @@ from enum import StrEnum
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.device_ids import unit_id
-from mavcal.calib.wire import Message, ParameterEncoding, usual_encoding
+from mavcal.calib.wire.codec import Message
+from mavcal.calib.wire.parameters import ParameterEncoding, usual_encoding
 
 
 class Autopilot(StrEnum):

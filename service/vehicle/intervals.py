@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, decode
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.identity import Autopilot

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from mavcal.calib.firmware.plan import ParameterKind, Value
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame, ParamType
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.parameters import ParamType
 from mavcal.service.errors import CommandTimeout, DiskFull, ParameterMissing
-from mavcal.service.link import Batch
 from mavcal.service.link.capacity import slowdown
+from mavcal.service.link.types import Batch
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.intervals import get_intervals
 from mavcal.service.vehicle.rate_ledger import RateLedger

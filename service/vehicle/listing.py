@@ -8,7 +8,9 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import HASH_CHECK, NO_INDEX, Frame, ParamValue, decode_param_value
+from mavcal.calib.wire.codec import ParamValue, decode_param_value
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.parameters import HASH_CHECK, NO_INDEX
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
 from mavcal.service.vehicle.addressee import Addressee
 from mavcal.service.vehicle.encoding import Parameter

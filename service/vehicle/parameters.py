@@ -14,16 +14,9 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import (
-    Frame,
-    ParameterEncoding,
-    ParamType,
-    RawMessage,
-    decode,
-    heard_value,
-    param_bytes,
-    param_set,
-)
+from mavcal.calib.wire.codec import RawMessage, decode, param_bytes, param_set
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.parameters import ParameterEncoding, ParamType, heard_value
 from mavcal.service.errors import (
     LinkDown,
     ParameterError,

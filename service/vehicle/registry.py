@@ -10,9 +10,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, Message, decode
+from mavcal.calib.wire.codec import Message, decode
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import LinkDown, VehicleError, VehicleUnknown
-from mavcal.service.link import Batch, Link, LinkEvent
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkEvent
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 from mavcal.service.vehicle.heard import CORE_IDS
 from mavcal.service.vehicle.kin import Kin

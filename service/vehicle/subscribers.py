@@ -6,9 +6,10 @@ import asyncio
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import LinkDown
-from mavcal.service.link import Batch, Link
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch
 
 _MARK_S = 5.0
 

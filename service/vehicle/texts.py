@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcal.calib.wire import CHUNK_BYTES, Message, joined_text, text_bytes
+from mavcal.calib.wire.codec import Message
+from mavcal.calib.wire.texts import CHUNK_BYTES, joined_text, text_bytes
 
 _WAIT_S = 5.0
 _MOST_WAITING = 8

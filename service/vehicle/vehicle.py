@@ -8,7 +8,8 @@ from contextlib import suppress
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, Message, RawMessage, decode
+from mavcal.calib.wire.codec import Message, RawMessage, decode
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import (
     CommandTimeout,
     LinkDown,
@@ -16,7 +17,8 @@ from mavcal.service.errors import (
     VehicleBusy,
     VehicleConflict,
 )
-from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, OwnIdentity
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
 from mavcal.service.vehicle.channels import Channels, LinkChannel

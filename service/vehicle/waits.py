@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 
 T = TypeVar("T")
 

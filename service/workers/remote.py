@@ -16,8 +16,7 @@ from mavcal.service.children.limits import Limits
 from mavcal.service.children.pool import ProgressCallback, refusal
 from mavcal.service.errors import ChildEnded, StoreError
 from mavcal.service.workers.orders import Orders
-from mavcal.service.workers.paths import moved
-from mavcal.service.workers.queue import QUEUE, TASK, app_of, lock_of
+from mavcal.service.workers.queue import QUEUE, TASK, app_of, lock_of, moved
 
 log = structlog.get_logger(__name__)
 

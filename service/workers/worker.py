@@ -23,8 +23,7 @@ from mavcal.service.children import Children, Limits
 from mavcal.service.errors import ServiceError, StoreError
 from mavcal.service.settings import Settings
 from mavcal.service.workers.orders import Computation, Orders
-from mavcal.service.workers.paths import moved
-from mavcal.service.workers.queue import QUEUE, TASK, app_of
+from mavcal.service.workers.queue import QUEUE, TASK, app_of, moved
 
 log = structlog.get_logger(__name__)
 

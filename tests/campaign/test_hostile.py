@@ -16,7 +16,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bench.running import service
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import encode
 from mavcal.service.simvehicle import free_udp_port
 
 COUNT = 30_000
@@ -35,7 +35,7 @@ def hostile(rng: random.Random) -> bytes:
     false_echo = dialect.MAVLink_param_value_message(
         b"INS_GYROFFS_X", rng.gauss(0.0, 9.0), 9, 1000, rng.randrange(1000)
     )
-    whole = wire.encode(false_echo, 1, 1, rng.randrange(256))
+    whole = encode(false_echo, 1, 1, rng.randrange(256))
     kind = rng.randrange(6)
     if kind == 0:
         return rng.randbytes(rng.randrange(1, 300))
@@ -44,9 +44,9 @@ def hostile(rng: random.Random) -> bytes:
     if kind == 2:
         return whole[:-1] + bytes([whole[-1] ^ 0x5A])
     if kind == 3:
-        return wire.encode(heartbeat(), rng.randrange(2, 253), rng.randrange(1, 256), rng.randrange(256))
+        return encode(heartbeat(), rng.randrange(2, 253), rng.randrange(1, 256), rng.randrange(256))
     if kind == 4:
-        return wire.encode(heartbeat(), 253, 190, rng.randrange(256))
+        return encode(heartbeat(), 253, 190, rng.randrange(256))
     return whole
 
 
@@ -55,7 +55,7 @@ def speak(to: tuple[str, int], over: threading.Event) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as us:
         sequence = 0
         while not over.wait(0.25):
-            us.sendto(wire.encode(heartbeat(), 1, 1, sequence % 256), to)
+            us.sendto(encode(heartbeat(), 1, 1, sequence % 256), to)
             sequence += 1
 
 

@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.wire import ParamType
+from mavcal.calib.wire.parameters import ParamType
 from mavcal.service.errors import VehicleArmed, WriteStopped
 from mavcal.service.jobs.write.guard import WriteGuard
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.simvehicle import SimulatedVehicle
-from mavcal.service.vehicle import Vehicle, VehicleEventKind, VehicleRegistry
+from mavcal.service.vehicle.events import VehicleEventKind
 from mavcal.service.vehicle.job_vehicle import JobVehicle
+from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.state import SILENT_S
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
 
 NAME = "INS_ACCOFFS_X"

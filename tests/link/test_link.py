@@ -14,9 +14,13 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import decode, encode
+from mavcal.calib.wire.frames import Frame, FrameParser
+from mavcal.calib.wire.signing import Signing, check_signature
+from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 from mavcal.service.errors import EndpointError, LinkDown, PortBusy
-from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
 from tests.patience import scaled
 
 KEY = bytes(range(32))
@@ -49,7 +53,7 @@ class Collector:
         self._changed.set()
 
     @property
-    def frames(self) -> list[wire.Frame]:
+    def frames(self) -> list[Frame]:
         return [frame for batch in self.batches for frame in batch.frames]
 
     async def until(self, condition: Callable[[], bool], seconds: float = 8.0) -> None:
@@ -92,11 +96,11 @@ def second_socket() -> socket.socket:
     return opened
 
 
-async def received(peer: socket.socket, message_id: int) -> tuple[wire.Frame, tuple[str, int]]:
-    def take() -> tuple[wire.Frame, tuple[str, int]]:
+async def received(peer: socket.socket, message_id: int) -> tuple[Frame, tuple[str, int]]:
+    def take() -> tuple[Frame, tuple[str, int]]:
         while True:
             data, address = peer.recvfrom(4096)
-            for frame in wire.FrameParser().feed(data):
+            for frame in FrameParser().feed(data):
                 if frame.message_id == message_id:
                     return frame, address
 
@@ -111,7 +115,7 @@ async def everything(peer: socket.socket) -> set[int]:
         ids: set[int] = set()
         with suppress(TimeoutError):
             while True:
-                ids |= {frame.message_id for frame in wire.FrameParser().feed(peer.recv(4096))} - {0}
+                ids |= {frame.message_id for frame in FrameParser().feed(peer.recv(4096))} - {0}
                 peer.settimeout(0.3 if ids else scaled(5))
         return ids
 
@@ -122,12 +126,12 @@ async def test_a_heartbeat_comes_in_and_ours_goes_back_to_who_spoke(opened: Open
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link)
     assert link.state is LinkState.CONNECTING
-    peer.sendto(wire.encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
+    peer.sendto(encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
     await collector.until(lambda: len(collector.frames) == 1)
     assert link.state is LinkState.UP
     assert link.peers == {(1, 1): peer.getsockname()}
     frame, _ = await received(peer, 0)
-    ours = wire.decode(frame)
+    ours = decode(frame)
     assert (frame.system, frame.component, ours.type, ours.autopilot) == (253, 190, 6, 8)
 
 
@@ -146,10 +150,8 @@ async def test_everything_received_and_sent_is_in_the_tlog_where_the_batch_says(
     link = await opened("udpin:127.0.0.1:0", ids=OwnIdentity(system=200, component=191))
     collector = Collector(link, frozenset({27}))
     for k in range(20):
-        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
-    peer.sendto(
-        wire.encode(dialect.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0), 1, 1, 20), ("127.0.0.1", link.local_port)
-    )
+        peer.sendto(encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+    peer.sendto(encode(dialect.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0), 1, 1, 20), ("127.0.0.1", link.local_port))
     await collector.until(lambda: len(collector.frames) == 20)
     await received(peer, 0)
     link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
@@ -157,12 +159,12 @@ async def test_everything_received_and_sent_is_in_the_tlog_where_the_batch_says(
     await link.tlog.sync()
     data = link.tlog.path.read_bytes()
     assert link.tlog.position == len(data)
-    recorded = [frame for _, frame in wire.iter_tlog(data)]
+    recorded = [frame for _, frame in iter_tlog(data)]
     assert [f.sequence for f in recorded if f.message_id == 27] == list(range(20))
     assert {(f.system, f.component) for f in recorded if f.message_id == 21} == {(200, 191)}
     assert sum(f.message_id == 74 for f in recorded) == 1
     for batch in collector.batches:
-        inside = [f for _, f in wire.iter_tlog(data[batch.tlog_start : batch.tlog_end])]
+        inside = [f for _, f in iter_tlog(data[batch.tlog_start : batch.tlog_end])]
         assert [f for f in inside if f.message_id == 27] == list(batch.frames)
 
 
@@ -173,7 +175,7 @@ async def test_a_link_goes_on_in_another_file_and_nothing_is_lost_between_them(
     collector = Collector(link, frozenset({27}))
     first, marks = link.tlog, []
     for k in range(240):
-        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+        peer.sendto(encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
         if k % 60 == 59:
             assert link.rotate()
             path = link.tlog.path
@@ -181,13 +183,13 @@ async def test_a_link_goes_on_in_another_file_and_nothing_is_lost_between_them(
             await asyncio.sleep(0.02)
     await collector.until(lambda: len(collector.frames) == 240 and len(marks) == 4)
     files = sorted(tmp_path.glob("*.tlog"))  # noqa: ASYNC240 - small
-    recorded = [record for path in files for record in wire.iter_tlog(path.read_bytes())]
+    recorded = [record for path in files for record in iter_tlog(path.read_bytes())]
     assert [f.sequence for _, f in recorded if f.message_id == 27] == list(range(240))
     assert [t for t, _ in recorded] == sorted(t for t, _ in recorded)
     assert (files[0], files[-1], len(files)) == (first.path, link.tlog.path, 5)
     assert link.tlog.position == link.tlog.path.stat().st_size
     assert [path for path, _ in marks] == files[1:]
-    assert all(wire.TlogReader(path.read_bytes()[byte:]).skipped_bytes == 0 for path, byte in marks)
+    assert all(TlogReader(path.read_bytes()[byte:]).skipped_bytes == 0 for path, byte in marks)
     assert open_logs() == [str(link.tlog.path)]
 
 
@@ -195,7 +197,7 @@ async def test_batches_of_two_files_are_not_joined(opened: Opener, peer: socket.
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link, frozenset({27}))
     for k in range(100):
-        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+        peer.sendto(encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
         if k == 50:
             time.sleep(0.1)  # noqa: ASYNC251 - the loop is late: what has come meanwhile is joined
             link.rotate()
@@ -223,13 +225,13 @@ async def test_a_second_vehicles_torn_datagrams_cost_the_first_nothing(opened: O
     collector = Collector(link)
     with second_socket() as other:
         for k in range(200):
-            peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
-            whole = wire.encode(imu(k), 2, 1, k)
+            peer.sendto(encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+            whole = encode(imu(k), 2, 1, k)
             other.sendto(whole[:-7] if k % 5 == 0 else whole, ("127.0.0.1", link.local_port))
             if k % 50 == 49:
                 await asyncio.sleep(0)
         other.sendto(b"\xfd\xff\x00", ("127.0.0.1", link.local_port))  # claims 267 bytes that never come
-        peer.sendto(wire.encode(imu(200), 1, 1, 200), ("127.0.0.1", link.local_port))
+        peer.sendto(encode(imu(200), 1, 1, 200), ("127.0.0.1", link.local_port))
         await collector.until(lambda: len(collector.frames) >= 361)
     assert sum(f.system == 1 for f in collector.frames) == 201
     assert sum(f.system == 2 for f in collector.frames) == 160
@@ -241,8 +243,8 @@ async def test_messages_reach_the_vehicle_they_are_for(opened: Opener, peer: soc
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link)
     with second_socket() as other:
-        peer.sendto(wire.encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
-        other.sendto(wire.encode(heartbeat(), 2, 1, 0), ("127.0.0.1", link.local_port))
+        peer.sendto(encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
+        other.sendto(encode(heartbeat(), 2, 1, 0), ("127.0.0.1", link.local_port))
         await collector.until(lambda: len(collector.frames) == 2)
         link.send(dialect.MAVLink_param_request_list_message(2, 1), (2, 1))
         link.send(dialect.MAVLink_param_request_read_message(1, 1, b"A", -1), (1, 1))
@@ -259,20 +261,20 @@ async def test_a_vehicle_that_changes_its_address_and_two_that_share_an_id_are_t
     collector = Collector(link)
     to = ("127.0.0.1", link.local_port)
     with second_socket() as other:
-        peer.sendto(wire.encode(heartbeat(), 1, 1, 0), to)
+        peer.sendto(encode(heartbeat(), 1, 1, 0), to)
         await collector.until(lambda: len(collector.frames) == 1)
-        other.sendto(wire.encode(heartbeat(), 1, 1, 1), to)
+        other.sendto(encode(heartbeat(), 1, 1, 1), to)
         await collector.until(lambda: any(e.kind is LinkEventKind.PEER_CHANGED for e in collector.events))
         (moved,) = [e for e in collector.events if e.kind is LinkEventKind.PEER_CHANGED]
         assert moved.addresses == (peer.getsockname(), other.getsockname())
-        peer.sendto(wire.encode(heartbeat(), 1, 1, 2), to)
+        peer.sendto(encode(heartbeat(), 1, 1, 2), to)
         await collector.until(lambda: any(e.kind is LinkEventKind.DUPLICATE_SYSTEM for e in collector.events))
 
 
 async def test_our_own_ids_from_elsewhere_are_told_and_not_believed(opened: Opener, peer: socket.socket) -> None:
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link)
-    peer.sendto(wire.encode(heartbeat(), 253, 190, 0), ("127.0.0.1", link.local_port))
+    peer.sendto(encode(heartbeat(), 253, 190, 0), ("127.0.0.1", link.local_port))
     await collector.until(lambda: any(e.kind is LinkEventKind.OWN_IDS_HEARD for e in collector.events))
     assert collector.frames == []
 
@@ -296,7 +298,7 @@ async def test_tcp_end_is_noticed_and_the_link_connects_again(opened: Opener) ->
     collector = Collector(link)
     assert link.state is LinkState.UP
     _, writer = await connections.get()
-    stream = b"".join(wire.encode(imu(k), 1, 1, k) for k in range(100))
+    stream = b"".join(encode(imu(k), 1, 1, k) for k in range(100))
     writer.write(stream[:1111])
     await writer.drain()
     writer.write(stream[1111:])
@@ -333,10 +335,10 @@ async def test_a_tcp_server_link_serves_who_connects(opened: Opener) -> None:
     link = await opened("tcpin:127.0.0.1:0")
     collector = Collector(link)
     reader, writer = await asyncio.open_connection("127.0.0.1", link.local_port)
-    writer.write(wire.encode(imu(), 1, 1, 0))
+    writer.write(encode(imu(), 1, 1, 0))
     await collector.until(lambda: len(collector.frames) == 1)
     link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
-    parser = wire.FrameParser()
+    parser = FrameParser()
     async with asyncio.timeout(scaled(5)):
         while not any(f.message_id == 21 for f in parser.feed(await reader.read(100))):
             pass
@@ -346,7 +348,7 @@ async def test_a_tcp_server_link_serves_who_connects(opened: Opener) -> None:
 
 async def test_a_recording_is_replayed_completely(opened: Opener, tmp_path: Path) -> None:
     path = tmp_path / "flight.tlog"
-    path.write_bytes(b"".join(wire.tlog_record(10**15 + k, wire.encode(imu(k), 1, 1, k)) for k in range(1000)))
+    path.write_bytes(b"".join(tlog_record(10**15 + k, encode(imu(k), 1, 1, k)) for k in range(1000)))
     link = Link("replay", f"file:{path}?speed=0", tlog_dir=tmp_path)
     collector = Collector(link)  # before it is opened: a replay waits for nobody
     await link.open()
@@ -382,20 +384,20 @@ async def test_a_full_disk_is_told_and_recording_goes_on_afterwards(opened: Open
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link)
     to = ("127.0.0.1", link.local_port)
-    peer.sendto(wire.encode(imu(), 1, 1, 0), to)
+    peer.sendto(encode(imu(), 1, 1, 0), to)
     await collector.until(lambda: len(collector.frames) == 1)
     recorder = link.tlog
     good = recorder._file
     recorder._file = os.open("/dev/full", os.O_WRONLY)
     before = recorder.position
-    peer.sendto(wire.encode(imu(), 1, 1, 1), to)
+    peer.sendto(encode(imu(), 1, 1, 1), to)
     await collector.until(lambda: len(collector.frames) == 2)
     assert "Free some space" in str(collector.batches[-1].tlog_error)
     await collector.until(lambda: any(e.kind is LinkEventKind.TLOG for e in collector.events))
     os.close(recorder._file)
     recorder._file, recorder._retry_at = good, 0.0
     recorder.position = before
-    peer.sendto(wire.encode(imu(), 1, 1, 2), to)
+    peer.sendto(encode(imu(), 1, 1, 2), to)
     await collector.until(lambda: len(collector.frames) == 3)
     assert collector.batches[-1].tlog_error is None
 
@@ -408,15 +410,15 @@ async def test_signed_links_believe_only_signed_frames_and_keep_the_time_stamp(
     collector = Collector(link)
     to = ("127.0.0.1", link.local_port)
     future = 10**12
-    peer.sendto(wire.encode(imu(1), 1, 1, 0), to)
-    peer.sendto(wire.encode(imu(2), 1, 1, 0, wire.Signing(bytes(32), 1, future)), to)
-    peer.sendto(wire.encode(imu(3), 1, 1, 0, wire.Signing(KEY, 1, 5 * 10**11)), to)
-    peer.sendto(wire.encode(imu(4), 1, 1, 1, wire.Signing(KEY, 1, 5 * 10**11 + 1)), to)
+    peer.sendto(encode(imu(1), 1, 1, 0), to)
+    peer.sendto(encode(imu(2), 1, 1, 0, Signing(bytes(32), 1, future)), to)
+    peer.sendto(encode(imu(3), 1, 1, 0, Signing(KEY, 1, 5 * 10**11)), to)
+    peer.sendto(encode(imu(4), 1, 1, 1, Signing(KEY, 1, 5 * 10**11 + 1)), to)
     await collector.until(lambda: len(collector.frames) == 2)
-    assert [wire.decode(f).xacc for f in collector.frames] == [3, 4]
+    assert [decode(f).xacc for f in collector.frames] == [3, 4]
     await collector.until(lambda: any(e.kind is LinkEventKind.SIGNATURE_REFUSED for e in collector.events))
     frame, _ = await received(peer, 0)
-    assert wire.check_signature(frame, KEY)
+    assert check_signature(frame, KEY)
     await collector.until(lambda: bool(stored))
     assert 5 * 10**11 < stored[-1] < future
 
@@ -432,7 +434,7 @@ async def test_the_loss_count_is_the_truth_beyond_256(opened: Opener, peer: sock
                 sequence += 60
                 await asyncio.sleep(0.3)
             longest, last = max(longest, time.monotonic() - last), time.monotonic()
-            peer.sendto(wire.encode(imu(k), system, 1, sequence & 0xFF), to)
+            peer.sendto(encode(imu(k), system, 1, sequence & 0xFF), to)
             sequence += 1
             await asyncio.sleep(0.005)
         await collector.until(lambda system=system: sum(f.system == system for f in collector.frames) == 60)
@@ -452,7 +454,7 @@ async def test_a_subscriber_that_fails_takes_nothing_from_the_others(opened: Ope
 
     link.subscribe(broken)
     collector = Collector(link)
-    peer.sendto(wire.encode(imu(), 1, 1, 0), ("127.0.0.1", link.local_port))
+    peer.sendto(encode(imu(), 1, 1, 0), ("127.0.0.1", link.local_port))
     await collector.until(lambda: len(collector.frames) == 1)
     assert [str(f["exception"]) for f in failures] == ["broken"]
 
@@ -474,13 +476,13 @@ async def test_a_serial_line_both_ways_and_its_unplugging(opened: Opener, wire_t
     far, device = wire_to_device
     link = await opened(f"serial:{device}:57600")
     collector = Collector(link)
-    stream = b"".join(wire.encode(imu(k), 1, 1, k) for k in range(50))
+    stream = b"".join(encode(imu(k), 1, 1, k) for k in range(50))
     os.write(far, b"\x00noise" + stream[:700])
     await asyncio.sleep(0.05)
     os.write(far, stream[700:])
     await collector.until(lambda: len(collector.frames) == 50)
     assert link.statistics(1, 1).lost == 0
-    parser, heard = wire.FrameParser(), list[wire.Frame]()
+    parser, heard = FrameParser(), list[Frame]()
     link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
     async with asyncio.timeout(scaled(5)):
         while not any(frame.message_id == 21 for frame in heard):
@@ -516,8 +518,8 @@ async def test_a_real_capture_is_replayed_frame_by_frame(tmp_path: Path, shared_
     link = Link("replay", f"file:{path}?speed=0", tlog_dir=tmp_path)
     collector = Collector(link)
     await link.open()
-    truth = [frame.raw for _, frame in wire.iter_tlog(path.read_bytes())]
+    truth = [frame.raw for _, frame in iter_tlog(path.read_bytes())]
     await collector.until(lambda: link.state is LinkState.DOWN and len(collector.frames) >= len(truth))
     await link.close()
     assert [frame.raw for frame in collector.frames] == truth
-    assert [frame.raw for _, frame in wire.iter_tlog(link.tlog.path.read_bytes())] == truth
+    assert [frame.raw for _, frame in iter_tlog(link.tlog.path.read_bytes())] == truth

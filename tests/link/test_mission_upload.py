@@ -13,14 +13,15 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.logs.missions import LoggedMission, MissionItem, Place, read_mission, with_take_off
+from mavcal.calib.logs.missions.course import Place, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.reading import read_mission
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import MissionLeft, MissionRefused
-from mavcal.service.closing.follower import Follower
+from mavcal.service.closing.follower import Follower, Upload
 from mavcal.service.closing.link import VehicleLink
 from mavcal.service.closing.logged import LogMission
-from mavcal.service.closing.upload import Upload
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of
 from mavcal.service.simvehicle.flight.ground import GroundLink
@@ -166,7 +167,7 @@ def test_an_answer_that_was_lost_is_given_by_another_upload(tmp_path: Path) -> N
 
 
 def test_a_vehicle_that_asks_for_nothing_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavcal.service.closing.upload.TRIES", 2)
+    monkeypatch.setattr("mavcal.service.closing.follower.TRIES", 2)
     with (
         talking(tmp_path / "x.bin", lambda number, _before: number in (REQUEST, ACK)) as (talk, _),
         pytest.raises(MissionRefused, match=r"in 2 uploads: it asked for 0 of 5 items.*--mission standard"),

@@ -20,7 +20,7 @@ from mavcal.service.closing.errors import NoSimulator, OtherVehicle
 from mavcal.service.closing.link import VehicleLink
 from mavcal.service.closing.loop import Closing, ClosingPlan
 from mavcal.service.closing.proof import SimulatorProof
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of
 from mavcal.service.simvehicle.flight.ground import GroundLink

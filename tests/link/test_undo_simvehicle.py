@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.firmware import Assembler, Undo, requested_streams, undo
+from mavcal.calib.firmware.in_force.undo import Undo, undo
+from mavcal.calib.firmware.stream.assembler import Assembler
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage, join
-from mavcal.calib.wire import Frame, FrameParser, encode
+from mavcal.calib.wire.codec import encode
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import FlightController

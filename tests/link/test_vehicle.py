@@ -12,20 +12,18 @@ from typing import Any
 
 import pytest
 
-from mavcal.calib import wire
-from mavcal.calib.wire import ParamType
+from mavcal.calib.wire.parameters import ParamType
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.errors import CommandRefused, EndpointError, LinkDown, ParameterMissing, VehicleArmed
-from mavcal.service.link import Link, LinkState
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import LinkState
 from mavcal.service.simvehicle import SimulatedVehicle
-from mavcal.service.vehicle import (
-    Autopilot,
-    Landed,
-    Vehicle,
-    VehicleEvent,
-    VehicleEventKind,
-    VehicleRegistry,
-    request_streams,
-)
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.identity import Autopilot
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.state import Landed
+from mavcal.service.vehicle.streams import request_streams
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
 
 Finder = Callable[..., Awaitable[Vehicle]]
@@ -252,7 +250,7 @@ async def test_a_recorded_subscription_hears_exactly_what_the_recording_holds_fr
             forget()
             always()
             data = vehicle.link.tlog.path.read_bytes()[place:]
-            recorded = [frame.raw for _, frame in wire.iter_tlog(data) if frame.message_id in ids]
+            recorded = [frame.raw for _, frame in iter_tlog(data) if frame.message_id in ids]
             assert recorded[: len(heard)] == heard
 
 

@@ -24,7 +24,8 @@ from mavcal.calib.gap.schema import (
     ParameterEstimate,
     Shrink,
 )
-from mavcal.calib.logs.missions import LoggedMission, MissionItem, Place, with_take_off
+from mavcal.calib.logs.missions.course import Place, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.service.closing.command import SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
@@ -36,7 +37,7 @@ from mavcal.service.closing.mission import Leg, Mission
 from mavcal.service.closing.pilot import Pilot
 from mavcal.service.closing.settings import SimSettings
 from mavcal.service.closing.simulator import Simulator, free_port
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 FLYING = (

@@ -14,11 +14,12 @@ from mavcal.service.jobs.core.model import Accept, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
-from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.job_vehicle import VehicleSource
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
 
 SPEED = 10.0

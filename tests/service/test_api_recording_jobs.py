@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import structlog
 
-from mavcal.calib.wire import iter_tlog
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.logs import configure_logging
 from mavcal.service.simvehicle import SimulatedVehicle
 

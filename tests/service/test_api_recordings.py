@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import tlog_record
+from mavcal.calib.wire.tlog import tlog_record
 from mavcal.service.api.models.recordings import ReadingOptions
 from mavcal.service.errors import DiskFull
 from mavcal.service.store.sqlite import DATABASE

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from mavcal.calib import logs
-from mavcal.calib.logs.missions import Place, read_mission
+from mavcal.calib.logs.missions.course import Place
+from mavcal.calib.logs.missions.reading import read_mission
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.service.closing.errors import (
     LogUnusable,

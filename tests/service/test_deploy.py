@@ -17,7 +17,8 @@ import httpx
 import pytest
 
 from mavcal.service.api.security import digest
-from mavcal.service.settings import Settings, settings_table
+from mavcal.service.settings import Settings
+from scripts.settings import settings_table
 from tests.patience import patience, scaled
 
 from .deployed import (

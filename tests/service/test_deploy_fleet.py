@@ -13,7 +13,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from mavcal.service.settings import Settings, settings_table
+from mavcal.service.settings import Settings
+from scripts.settings import settings_table
 from tests.patience import patience
 
 from .deployed import DEPLOY, ROOT, UNIT, clean_environment, environment_of, seconds_of, started, unit

@@ -15,8 +15,8 @@ import pytest
 
 from mavcal.service.core import Service, running_service
 from mavcal.service.errors import JobElsewhere, LinkElsewhere, VehicleConflict
+from mavcal.service.instances.instance import vehicle_subject
 from mavcal.service.instances.leases import Leases, Owner
-from mavcal.service.instances.ownership import vehicle_subject
 from mavcal.service.jobs.core.crashpoints import At
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.states import ENDED, JobState

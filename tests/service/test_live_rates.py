@@ -12,11 +12,12 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.stream.rates import live_streams
-from mavcal.calib.wire import Frame, decode
-from mavcal.service.link import Batch
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.frames import Frame
+from mavcal.service.link.types import Batch
 from mavcal.service.simvehicle import ControlChannel
-from mavcal.service.vehicle import Vehicle
 from mavcal.service.vehicle.intervals import DEFAULT_INTERVAL, get_interval, set_interval
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
 from tests.service.api_bench import Api, Json, served
 

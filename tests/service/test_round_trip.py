@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from mavcal.calib import logs
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.tables import write_table
 from mavcal.calib.recording import Recording, Segment, Sensor
 from mavcal.service.cli import cli

@@ -18,8 +18,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.service.core import Service, running_service
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.lifetime import ending_with_us
-from mavcal.service.workers.paths import moved
-from mavcal.service.workers.queue import lock_of
+from mavcal.service.workers.queue import lock_of, moved
 from tests.patience import patience, scaled
 from tests.service.gap_tables import write_table
 from tests.service.test_computed_jobs_killed import write_rest

@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 
 from bench.endurance import beat
-from mavcal.calib.wire import encode
+from mavcal.calib.wire.codec import encode
 
 SLICES = 10
 """In a second; each speaks for its share of the vehicles."""

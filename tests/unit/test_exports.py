@@ -8,7 +8,8 @@ import re
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.plan import Change, Loss, ParameterKind, WritePlan
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review import effects_of, headline_of, picture_of
+from mavcal.calib.review.effect import effects_of, headline_of
+from mavcal.calib.review.picture import picture_of
 from mavcal.service.exports import export
 from mavcal.service.jobs.core.codec import row_from_job
 from mavcal.service.jobs.core.model import Job

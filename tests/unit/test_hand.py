@@ -12,7 +12,7 @@ from mavcal.service import hand as module
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.hand import MOMENT_S, SimulatedHands
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.link import Hand
+from mavcal.service.link.endpoint import Hand
 from mavcal.service.simvehicle import ControlError
 from tests.unit.api import samples
 

@@ -21,8 +21,10 @@ from mavcal.service.errors import (
     PortBusy,
     SigningKeyUnknown,
 )
-from mavcal.service.link import Link, LinkState, parse_endpoint
 from mavcal.service.link.allowed import Allowed
+from mavcal.service.link.endpoint import parse_endpoint
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import LinkState
 from mavcal.service.link_registry import LONGEST_PLAIN, LONGEST_URL, LinkRegistry, link_id_of
 from mavcal.service.settings import DEFAULT, MavlinkSettings
 from mavcal.service.signing_keys import SigningKeys

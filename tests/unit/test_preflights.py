@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame, FrameParser
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service import preflights as module
 from mavcal.service.preflights import SILENT_ASKS, _Heard, _silent_asked
 from tests.unit.jobs.fakes import FakeVehicle

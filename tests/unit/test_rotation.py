@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from mavcal.service.errors import StoreError
-from mavcal.service.link import Link
+from mavcal.service.link.link import Link
 from mavcal.service.retention import Rotation
 from mavcal.service.settings import RetentionSettings
 

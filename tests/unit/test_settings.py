@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from mavcal.service.settings import ApiKey, Settings, default_data_dir, is_loopback, settings_table
+from mavcal.service.settings import ApiKey, Settings, default_data_dir, is_loopback
+from scripts.settings import settings_table
 
 ROOT = Path(__file__).resolve().parents[2]
 

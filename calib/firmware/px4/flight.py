@@ -231,22 +231,12 @@ def _air(topics: Topics) -> Iterator[Channel]:
     name = None if topic is None else next((n for n in warm if n in topic), None)
     if topic is not None and name is not None and "baro_pressure_pa" in topic:
         values = columns(topic, "baro_pressure_pa", name)
-        good = np.isfinite(values).all(axis=1)
-        yield Channel(Sensor.AIR, 0, sample_time(topic)[good], values[good], "Pa degC", Stage.RAW, "vehicle_air_data")
+        yield _finite(Sensor.AIR, 0, sample_time(topic), values, "Pa degC", "vehicle_air_data")
 
 
 def _estimates(topics: Topics) -> Iterator[Channel]:
-    topic = topics.get(("vehicle_attitude", 0))
-    if topic is not None and has(topic, *(f"q[{k}]" for k in range(4))):
-        q = columns(topic, *(f"q[{k}]" for k in range(4)))
-        size = np.linalg.norm(q, axis=1)
-        good = np.isfinite(size) & (size > 0.5)
-        q = q[good] / size[good, None]
-        yield Channel(Sensor.ATTITUDE, 0, sample_time(topic)[good], q, "1", Stage.RAW, "vehicle_attitude")
+    yield from _attitude(topics)
     topic = topics.get(("vehicle_local_position", 0))
     for sensor, fields, unit in ((Sensor.VELOCITY, ("vx", "vy", "vz"), "m/s"), (Sensor.PLACE, ("x", "y", "z"), "m")):
         if topic is not None and has(topic, *fields):
-            values = columns(topic, *fields)
-            good = np.isfinite(values).all(axis=1)
-            t = sample_time(topic)[good]
-            yield Channel(sensor, 0, t, values[good], unit, Stage.RAW, "vehicle_local_position")
+            yield _finite(sensor, 0, sample_time(topic), columns(topic, *fields), unit, "vehicle_local_position")

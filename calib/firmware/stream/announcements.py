@@ -9,12 +9,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.device_ids import unit_id
 from mavcal.calib.recording import Event, Identity
-from mavcal.calib.wire import CHUNK_BYTES, decode, joined_text, text_bytes
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.texts import CHUNK_BYTES, joined_text, text_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavcal.calib.wire import Frame
+    from mavcal.calib.wire.frames import Frame
 
 AUTOPILOTS: Final = {
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",

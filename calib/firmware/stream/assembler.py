@@ -28,13 +28,13 @@ from mavcal.calib.recording import (
     Rounding,
     Sensor,
 )
-from mavcal.calib.wire import heard_value, usual_encoding
+from mavcal.calib.wire.parameters import heard_value, usual_encoding
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from mavcal.calib.firmware.plan import Value
-    from mavcal.calib.wire import Frame
+    from mavcal.calib.wire.frames import Frame
 
 Array = NDArray[np.float64]
 

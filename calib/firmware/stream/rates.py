@@ -1,4 +1,4 @@
-"""Streams to request from a vehicle, and the :class:`Assembler` for them.
+"""Streams to request from a vehicle.
 
 Both firmwares give 25 and 50 Hz exactly (ArduPilot cuts intervals to whole milliseconds, PX4 rounds up to its 4 ms
 loop); at 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.
@@ -13,11 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.stream import auxiliary
-from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3
 from mavcal.calib.recording import Sensor
-
-__all__ = ["Assembler", "live_streams", "requested_streams"]
 
 INERTIAL_HZ: Final = 50.0
 COMPASS_HZ: Final = 25.0

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError, InvalidInputError
-from mavcal.calib.firmware import body_from_sensor, calibration_in_force, compass_offset_changes
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force
+from mavcal.calib.firmware.in_force.rewritten import compass_offset_changes
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import TriadModel
 

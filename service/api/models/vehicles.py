@@ -14,7 +14,7 @@ from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
 from mavcal.service.api.models.base import Attitude, Number, Request
 from mavcal.service.api.models.wire import Wire
-from mavcal.service.link import Hand
+from mavcal.service.link.endpoint import Hand
 from mavcal.service.link.types import LinkState
 from mavcal.service.signing_keys import KnownKey
 from mavcal.service.vehicle.identity import Airframe, Autopilot

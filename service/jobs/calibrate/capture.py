@@ -19,11 +19,13 @@ from mavcal.calib.firmware.in_force.needed import DRIFT_KINDS
 from mavcal.calib.firmware.in_force.rewritten import READ_EVERY_S, read_again
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
+from mavcal.calib.firmware.stream.assembler import Assembler
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
 from mavcal.calib.procedures.registry import load_libraries, specification
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.errors import (
     CaptureEnded,
     CommandRefused,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
 from mavcal.calib.firmware.compose.early_warnings import STREAMED_INSTANCES
@@ -24,13 +24,13 @@ from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.options import Key
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import without_row
-from mavcal.calib.firmware.stream.rates import Assembler
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.values import shown
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, replay, specification
+from mavcal.calib.procedures.spec import OperatorAnswer, ProcedureContext
 from mavcal.calib.recording import Identity, ParameterEntry, Recording, Sensor
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
 from mavcal.service.jobs.core.model import LogSpan
 from mavcal.service.jobs.core.segments import content_of
@@ -213,8 +213,7 @@ def require_unchanged(kind: str, name: str, before: Value, after: Value) -> None
 def field_of(recording: Recording, at: float) -> EarthField | None:
     """The Earth's magnetic field at the first position that the vehicle reports; None: it reports none."""
     position = next((c for c in recording.channels if c.sensor == Sensor.POSITION and len(c)), None)
-    when = datetime.fromtimestamp(at, UTC)
-    year = when.year + (when.timetuple().tm_yday - 1) / 365.25
+    year = decimal_year(datetime.fromtimestamp(at, UTC))
     for latitude, longitude, altitude in () if position is None else position.values:
         if latitude or longitude:  # (0, 0) is "no fix"
             with suppress(InvalidInputError):

@@ -16,13 +16,15 @@ from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.plan import Movement, Value, Verification, WritePlan
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
-from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.restore import sensors_at_rest
 from mavcal.calib.procedures.poses import TEXTS, WEIGHTLESS, down, recognise
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Recording, Sensor, join
-from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.calib.wire.frames import Frame
+from mavcal.calib.wire.tlog import iter_tlog
 from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs.core.handle import JobHandle, waiting
 from mavcal.service.jobs.core.model import RESTORE

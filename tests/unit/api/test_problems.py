@@ -15,7 +15,7 @@ from starlette.requests import Request
 
 from mavcal.calib.errors import CalibError, InvalidInputError, UndeterminedError
 from mavcal.service import errors
-from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import relative
 from mavcal.service.api.problems import codes, explanations, install_problem_handlers, problem
 from mavcal.service.errors import AuthError, JobUnknown, ServiceError, StoreError, VehicleArmed
 from tests.examples import examples

@@ -25,7 +25,7 @@ from mavcal.service.errors import (
 )
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.link import LinkState
+from mavcal.service.link.types import LinkState
 from mavcal.service.settings import ApiKey, Settings
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import UnitRow

@@ -14,8 +14,10 @@ from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.recording import Channel, Sensor, Stage
-from mavcal.calib.review import Criterion, MountingChoice, SensorEffect, StatedMounting
-from mavcal.service.api import live
+from mavcal.calib.review.criteria import Criterion
+from mavcal.calib.review.effect import SensorEffect
+from mavcal.calib.review.mountings import MountingChoice, StatedMounting
+from mavcal.service.api import vehicles
 from mavcal.service.api.views import (
     event_model,
     gap_model,
@@ -185,6 +187,6 @@ def test_a_diagnosis_that_failed_says_why() -> None:
 def test_live_samples_are_told_by_axis_with_as_many_digits_as_a_sensor_has() -> None:
     values = np.array([[1.23456789, 2.0, np.nan], [np.inf, -0.000123456789, 123456.789]])
     channel = Channel(Sensor.GYRO, 1, np.array([0.12345678, 0.2]), values, "rad/s", Stage.RAW, "HIGHRES_IMU")
-    [told] = live._samples([channel])
+    [told] = vehicles._samples([channel])
     assert told.t == [0.1235, 0.2]
     assert told.values == [[1.23457, None], [2.0, -0.000123457], [None, 123457.0]]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.logs.missions import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import MissionRefused, SimulatorUnarmed
 from mavcal.service.closing.follower import Follower

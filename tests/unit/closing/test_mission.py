@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.logs.missions import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.mission import LOW, standard_mission
 

@@ -15,9 +15,6 @@ from mavcal.calib.firmware.export import (
     number,
     read_export,
     read_parameters,
-    to_param,
-    to_params,
-    to_parm,
     write_export,
     write_plan,
 )
@@ -110,12 +107,6 @@ def test_the_ending_chooses_the_format(tmp_path, form):
     assert read_export(path) == read_parameters(write_plan(PLAN, form), form)
     with pytest.raises(FirmwareError, match=r"\.param, \.parm, \.params"):
         write_export(PLAN, tmp_path / "plan.txt")
-
-
-def test_each_format_has_a_function_of_its_own():
-    assert to_param(PLAN) == write_plan(PLAN, ParameterFormat.PARAM)
-    assert to_parm(PLAN) == write_plan(PLAN, ParameterFormat.PARM)
-    assert to_params(PLAN) == write_plan(PLAN, ParameterFormat.PARAMS)
 
 
 def test_the_head_names_the_plan_its_board_and_what_to_mind():

@@ -13,7 +13,7 @@ from mavcal.calib.firmware.plan import Agreement, Change, Fingerprint, Parameter
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.fleet.record import ObservationSource
 from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict
-from mavcal.calib.preflight.readings import RestReading
+from mavcal.calib.preflight.rest import RestReading
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import StoreError, UnitUnknown
@@ -26,7 +26,7 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.preflights import Preflight
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.vehicle import VehicleRegistry
+from mavcal.service.vehicle.registry import VehicleRegistry
 
 DIGEST = "a" * 64
 PARAMETERS = {"INS_GYR_ID": 2752772, "INS_GYR2_ID": 2752780, "INS_GYR_CAL": 0, "INS_GYR1_CALTEMP": 30.0}

@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.gyro import fit_g_sensitivity
+from mavcal.calib.gyro.g_sensitivity import fit_g_sensitivity
 from mavcal.calib.gyro.turns import EARTH_RATE
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.gyro import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
+from mavcal.calib.gyro.rest import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 G = 9.80665

@@ -7,8 +7,7 @@ import pytest
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.gyro import fit_thread, thread_scale
-from mavcal.calib.gyro.thread import turning_spans
+from mavcal.calib.gyro.thread import fit_thread, thread_scale, turning_spans
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Segment, Sensor, Stage

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.gyro import fit_turntable
 from mavcal.calib.gyro.turns import EARTH_RATE
-from mavcal.calib.gyro.turntable import steady_spans
+from mavcal.calib.gyro.turntable import fit_turntable, steady_spans
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Segment, Sensor, Stage

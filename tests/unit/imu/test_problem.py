@@ -20,8 +20,9 @@ from mavcal.calib.imu.problem import (
     solve,
     turns_of,
 )
-from mavcal.calib.imu.unknowns import DIAGONAL, FREE, UNKNOWNS, Coordinates, ImuPrior, cross, symmetric
+from mavcal.calib.imu.unknowns import DIAGONAL, FREE, UNKNOWNS, Coordinates, ImuPrior, cross
 from mavcal.calib.imu.weighting import MISFIT, GroupFit, groups, weigh
+from mavcal.calib.stats.norm_fit import symmetric
 
 POSES, RATE = 14, 50.0
 TRUTH = np.concatenate(

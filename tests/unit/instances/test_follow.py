@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from mavcal.service.errors import StoreError
-from mavcal.service.instances import follow
-from mavcal.service.instances.follow import Follower
+from mavcal.service.instances import instance
+from mavcal.service.instances.instance import Follower
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import EventRow, JobRow
 from tests.patience import scaled
@@ -52,7 +52,7 @@ def store() -> Iterator[SqliteStore]:
 @pytest.fixture(autouse=True)
 def _no_look_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only news wake the follower, except where a test says otherwise."""
-    monkeypatch.setattr(follow, "PERIOD_S", 3600.0)
+    monkeypatch.setattr(instance, "PERIOD_S", 3600.0)
 
 
 @asynccontextmanager
@@ -77,7 +77,7 @@ async def test_what_was_known_at_the_start_is_not_told_again(store: SqliteStore)
 async def test_every_event_is_told_once_and_in_order_over_many_pages(
     store: SqliteStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follow, "PAGE", 3)
+    monkeypatch.setattr(instance, "PAGE", 3)
     store.save_job(row("a"))
     follower, book = Follower(store), Book("a")
     for n in range(7):
@@ -100,7 +100,7 @@ async def test_the_row_of_a_job_comes_with_an_event_that_asks_for_it(store: Sqli
 
 
 async def test_events_of_others_are_found_without_news(store: SqliteStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(follow, "PERIOD_S", 0.001)
+    monkeypatch.setattr(instance, "PERIOD_S", 0.001)
     store.save_job(row("a"))
     follower, book = Follower(store), Book()
     async with following(follower, book):
@@ -113,7 +113,7 @@ async def test_events_of_others_are_found_without_news(store: SqliteStore, monke
 async def test_a_database_that_is_away_for_a_while_costs_no_event(
     store: SqliteStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follow, "PERIOD_S", 0.001)
+    monkeypatch.setattr(instance, "PERIOD_S", 0.001)
     store.save_job(row("a"))
     follower, book = Follower(store), Book()
     store.add_event("a", 1.0, "progress", {})

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from mavcal.service.errors import PortBusy, StoreError
+from mavcal.service.instances.instance import ROUNDS_A_LEASE, Membership
 from mavcal.service.instances.leases import EVERY_INSTANCE, Owner
-from mavcal.service.instances.membership import ROUNDS_A_LEASE, Membership
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobRow, LinkRow

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from mavcal.service.errors import LeaseLost, StoreError
-from mavcal.service.instances.ownership import LeasedJobs, job_subject, link_subject, vehicle_subject
+from mavcal.service.instances.instance import LeasedJobs, job_subject, link_subject, vehicle_subject
 from mavcal.service.jobs.core.states import JobState
 from tests.unit.commands.doubles import plain
 

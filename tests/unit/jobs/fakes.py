@@ -12,7 +12,7 @@ import numpy as np
 
 from mavcal.calib.firmware.plan import ParameterKind, Value
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
 from mavcal.service.vehicle.job_vehicle import Condition, FramesCallback, JobVehicle, ParameterReading, TlogPosition
 from mavcal.service.vehicle.rate_ledger import RateLedger

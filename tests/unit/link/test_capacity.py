@@ -4,7 +4,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavcal.service.link import parse_endpoint
 from mavcal.service.link.capacity import (
     SHARE,
     Arrivals,
@@ -19,7 +18,7 @@ from mavcal.service.link.capacity import (
     slowdown,
     unlimited,
 )
-from mavcal.service.link.endpoint import FORMS
+from mavcal.service.link.endpoint import FORMS, parse_endpoint
 from tests.examples import examples
 
 ASKED = {27: 50.0, 116: 50.0, 105: 50.0, 245: 1.0}

@@ -5,8 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcal.service.errors import EndpointError
-from mavcal.service.link import Endpoint, EndpointKind, parse_endpoint
-from mavcal.service.link.endpoint import FORMS, Hand
+from mavcal.service.link.endpoint import FORMS, Endpoint, EndpointKind, Hand, parse_endpoint
 from tests.examples import examples
 
 

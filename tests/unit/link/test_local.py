@@ -12,9 +12,12 @@ from pathlib import Path
 import pytest
 import serial
 
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.frames import FrameParser
+from mavcal.calib.wire.tlog import tlog_record
 from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
-from mavcal.service.link import Endpoint, EndpointKind, local, parse_endpoint
+from mavcal.service.link import local
+from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
 from mavcal.service.link.transports import Disconnected
 from tests.patience import patience
@@ -54,11 +57,11 @@ def line() -> Iterator[tuple[int, str]]:
 
 
 def frame(number: int) -> bytes:
-    return wire.encode(wire.RawMessage(0, bytes(8) + b"\x03"), 1, 1, number & 0xFF)
+    return encode(RawMessage(0, bytes(8) + b"\x03"), 1, 1, number & 0xFF)
 
 
 def tlog(path: Path, times_s: list[float]) -> Path:
-    path.write_bytes(b"".join(wire.tlog_record(10**15 + round(t * 1e6), frame(n)) for n, t in enumerate(times_s)))
+    path.write_bytes(b"".join(tlog_record(10**15 + round(t * 1e6), frame(n)) for n, t in enumerate(times_s)))
     return path
 
 
@@ -69,7 +72,7 @@ def replayed(path: Path, options: str = "") -> FileTransport:
 def numbers(transport: FileTransport) -> list[int]:
     """Sequence numbers of the frames that are due."""
     data = b"".join(chunk.data for chunk in transport.receive())
-    return [found.sequence for found in wire.FrameParser().feed(data)]
+    return [found.sequence for found in FrameParser().feed(data)]
 
 
 def test_a_recording_is_replayed_at_its_own_pace(

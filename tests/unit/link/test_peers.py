@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mavcal.service.link import LinkEventKind, OwnIdentity
 from mavcal.service.link.peers import PeerTable
+from mavcal.service.link.types import LinkEventKind, OwnIdentity
 
 A, B, C = ("10.0.0.1", 14550), ("10.0.0.2", 14550), ("10.0.0.3", 14550)
 

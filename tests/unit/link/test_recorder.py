@@ -7,17 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.tlog import TlogReader
 from mavcal.service.errors import StoreError
 from mavcal.service.link.recorder import TlogRecorder
 
 
 def frame(number: int) -> bytes:
-    return wire.encode(wire.RawMessage(0, bytes(8) + b"\x03"), 1, 1, number)
+    return encode(RawMessage(0, bytes(8) + b"\x03"), 1, 1, number)
 
 
 def sequences(path: Path) -> list[int]:
-    reader = wire.TlogReader(path.read_bytes())
+    reader = TlogReader(path.read_bytes())
     numbers = [found.sequence for _, found in reader]
     assert reader.skipped_bytes == 0
     return numbers

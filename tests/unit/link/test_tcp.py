@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from mavcal.service.errors import EndpointError, LinkDown, PortBusy
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.link.tcp import TcpServerTransport, TcpTransport
 from mavcal.service.link.transports import Chunk, Disconnected, Transport
 from tests.patience import patience, scaled

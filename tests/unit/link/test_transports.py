@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from mavcal.service.errors import EndpointError, LinkDown, PortBusy, ServiceError
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.link.transports import open_error, resolve
 
 ENDPOINT = parse_endpoint("tcpin:10.0.0.9:5770")

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from mavcal.service.errors import EndpointError, PortBusy
-from mavcal.service.link import parse_endpoint
+from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.link.transports import DRAIN, Chunk, Disconnected
 from mavcal.service.link.udp import UdpTransport
 from tests.patience import patience, scaled

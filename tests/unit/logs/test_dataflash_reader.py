@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib import logs
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.dataflash import read_dataflash, read_dataflash_text
 from mavcal.calib.recording import Oddity, OddSamples, Recording, Rounding, Sensor, Stage
 from tests.examples import examples

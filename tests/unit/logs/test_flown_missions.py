@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 
 from mavcal.calib.errors import InvalidInputError, UnreadableError
-from mavcal.calib.logs.missions import Frame, NavCommand, Place, read_mission
+from mavcal.calib.logs.missions.course import Place
+from mavcal.calib.logs.missions.items import Frame, NavCommand
+from mavcal.calib.logs.missions.reading import read_mission
 from tests.unit.logs.ulog_file import UlogFile
 
 HOME = Place(47.39774488975114, 8.545597895702942, 489.9)

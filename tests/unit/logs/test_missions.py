@@ -11,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError, UnreadableError
-from mavcal.calib.logs.missions import LoggedMission, MissionItem, Place, durations, moved, read_mission, with_take_off
+from mavcal.calib.logs.missions.course import Place, durations, moved, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
+from mavcal.calib.logs.missions.reading import read_mission
 from tests.unit.logs import dataflash_file as made
 
 CMD = made.Message(90, "CMD", "QHHHffffLLfB", "TimeUS,CTot,CNum,CId,Prm1,Prm2,Prm3,Prm4,Lat,Lng,Alt,Frame")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib import logs
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording, Sensor, Stage
 

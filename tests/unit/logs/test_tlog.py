@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware import calibration_changes, undo
+from mavcal.calib.firmware.in_force.undo import calibration_changes, undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.wire import RawMessage, encode, tlog_record
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.tlog import tlog_record
 from tests.examples import examples
 
 

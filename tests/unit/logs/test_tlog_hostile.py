@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.methods.overview import overview
-from mavcal.calib.wire import tlog_record
+from mavcal.calib.wire.tlog import tlog_record
 
 
 def log(times_us: list[int], autopilots: list[int]) -> bytes:

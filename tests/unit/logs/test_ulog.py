@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError, UnreadableError
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs.ulog import read_ulog
 from mavcal.calib.methods import METHODS

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.ellipsoid import ellipsoid_shape, fit_ellipsoid
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.mag.shape import MagModel
 from mavcal.calib.mag.shape_fit import Asked
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.flight_input import between, end_of_flight, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.recording import Channel, Sensor, Stage
 from mavcal.calib.triad import TriadModel
 

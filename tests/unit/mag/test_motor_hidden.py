@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
-from mavcal.calib.mag.context import MagContext
 from mavcal.calib.mag.flight_input import prepared
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import BLOCK, STRETCHES, Hidden, blocks_of, by_log
+from mavcal.calib.mag.result import MagContext
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 FIELD = np.array([21.0, 2.0, 43.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.earth import EarthField
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.mag.blur import rates_during

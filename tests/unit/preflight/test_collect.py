@@ -18,7 +18,7 @@ from mavcal.calib.preflight.collect import (
     wanted_messages,
 )
 from mavcal.calib.recording import Identity, Sensor, Stage
-from mavcal.calib.wire import Frame, FrameParser
+from mavcal.calib.wire.frames import Frame, FrameParser
 
 ARDUPILOT = Identity("ardupilot", system=1, component=1)
 PX4 = Identity("px4", system=1, component=1)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.preflight.readings import rest_readings
+from mavcal.calib.preflight.rest import rest_readings
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 

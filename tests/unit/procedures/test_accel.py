@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.procedures.accel import SPEC, AccelProcedure
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
 
 WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)  # a run takes too long for it

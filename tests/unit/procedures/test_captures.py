@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mavcal.calib.earth import EarthField, earth_field
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.tlog import read_tlog
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp
 from mavcal.calib.procedures.registry import replay
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared

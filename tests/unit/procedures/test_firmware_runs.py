@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs import read
 from mavcal.calib.methods import METHODS
 from mavcal.calib.procedures.protocol import Done

@@ -7,9 +7,9 @@ import pytest
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.fixed_yaw import SPEC, MagFixedYawProcedure
 from mavcal.calib.procedures.protocol import Done, GaveUp
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity
 
 from .conftest import attitude

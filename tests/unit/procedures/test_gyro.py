@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.gyro import SPEC, GyroProcedure
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
 
 WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)  # a run takes too long for it

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.level import SPEC, LevelProcedure, roll_pitch
 from mavcal.calib.procedures.protocol import Done, GaveUp
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity
 
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.earth import EarthField
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.free_rotation import angle_between
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.mag import SPEC, MagProcedure
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.procedures.spec import OperatorAnswer, ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
 
 FIELD = EarthField([20.5, 1.2, 44.0], norm_sd=0.15)

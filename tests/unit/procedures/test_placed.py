@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Pose, Prompt
 from mavcal.calib.procedures.registry import create
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
 
 from .conftest import FACES, FIELD, MAG, Bench, Truth, attitude

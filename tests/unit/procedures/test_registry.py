@@ -11,12 +11,12 @@ import pytest
 from mavcal.calib import report
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, ProcedureError
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import PROCEDURES, create, replay, specification, validate_options
-from mavcal.calib.procedures.table import markdown
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Event, Identity, Recording, Sensor
 from mavcal.service.commands.calibrate import KINDS
+from scripts.procedures import markdown
 
 CONTEXT = ProcedureContext(
     identity=Identity(autopilot="other"), parameters={"X": 1.0}, earth_field=EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
@@ -58,7 +58,7 @@ def test_wrong_options_are_refused_in_one_sentence(kind, options, part):
 
 def test_the_document_is_the_one_that_the_specifications_make():
     path = Path(__file__).resolve().parents[3] / "docs" / "procedures.md"
-    assert path.read_text() == markdown(), "write docs/procedures.md again: table.markdown()"
+    assert path.read_text() == markdown(), "write docs/procedures.md again: scripts/procedures"
 
 
 def test_every_specification_speaks_of_both_autopilots():

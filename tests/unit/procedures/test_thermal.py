@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.procedures.thermal import SPEC, ThermalProcedure
 from mavcal.calib.recording import Identity, Sensor
 

@@ -16,9 +16,9 @@ from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.values import retained
 from mavcal.calib.logs.tlog import read_tlog
-from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import replay
+from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor
 
 TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.poses import APART, angle, suggest
 from mavcal.calib.procedures.protocol import Done, GaveUp, Prompt
 from mavcal.calib.procedures.registry import create, replay
+from mavcal.calib.procedures.spec import OperatorAnswer, ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
 
 from .conftest import FACES, MAG, Bench, Truth, attitude

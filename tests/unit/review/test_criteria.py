@@ -8,7 +8,7 @@ from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.fit import FitStatus, parameter_names
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review import criteria_of
+from mavcal.calib.review.criteria import criteria_of
 
 
 def test_an_uncertainty_beyond_what_was_asked_for_warns_and_says_what_helps(

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review import effects_of, picture_of
-from mavcal.calib.review.effect import SensorEffect, amount, heading_errors, headline_of, text_of
+from mavcal.calib.review.effect import SensorEffect, amount, effects_of, heading_errors, headline_of, text_of
+from mavcal.calib.review.picture import picture_of
 from mavcal.calib.triad import TriadModel
 
 HEADINGS = np.radians(np.arange(0.0, 360.0, 10.0))

@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.rotations import ROTATIONS, rotation_matrix
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review import choices_of, mountings_of
+from mavcal.calib.review.mountings import choices_of, mountings_of
 
 
 @pytest.mark.parametrize("autopilot", sorted(ROTATIONS))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs import read
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate import SensorErrors, SensorSuite, Warming, from_sitl, to_sitl

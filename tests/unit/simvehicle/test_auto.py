@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.logs.missions import read_mission
+from mavcal.calib.logs.missions.reading import read_mission
 from mavcal.service.simvehicle.flight.items import Command, Item, MissionState
 from mavcal.service.simvehicle.flight.modes import Mode
 from tests.unit.simvehicle.flights import Flight

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from mavcal.service.store.line import WriteLine
+from mavcal.service.store.sqlrows import WriteLine
 
 
 @pytest.fixture

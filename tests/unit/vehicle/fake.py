@@ -10,13 +10,17 @@ from typing import Any, TypeVar, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
-from mavcal.service.link import Batch, Link, LinkStatistics, OwnIdentity, parse_endpoint
-from mavcal.service.vehicle import Vehicle, VehicleEvent, VehicleEventKind
+from mavcal.calib.wire.codec import RawMessage, decode, encode, param_bytes, raw_message
+from mavcal.calib.wire.frames import FrameParser
+from mavcal.service.link.endpoint import parse_endpoint
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkStatistics, OwnIdentity
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.clock import ManualClock
 
 T = TypeVar("T")
-Reply = wire.RawMessage | Any
+Reply = RawMessage | Any
 Responder = Callable[[Any], Iterable[Reply]]
 
 AP_CAPABILITIES, PX4_CAPABILITIES = 2, 2 | 16
@@ -45,11 +49,11 @@ class FakeLink:
         await asyncio.sleep(0)
 
     def send(self, message: Any, _target: object = None) -> None:
-        raw = wire.raw_message(message)
-        (frame,) = wire.FrameParser().feed(wire.encode(raw, 253, 190, 0))
-        decoded = wire.decode(frame)
+        raw = raw_message(message)
+        (frame,) = FrameParser().feed(encode(raw, 253, 190, 0))
+        decoded = decode(frame)
         if decoded.get_type() == "PARAM_SET":
-            decoded.bits = wire.param_bytes(frame)
+            decoded.bits = param_bytes(frame)
         self.sent.append(decoded)
         assert self.vehicle is not None
         for reply in self.respond(decoded):
@@ -92,8 +96,8 @@ def landed(value: int = 1) -> Any:
     return dialect.MAVLink_extended_sys_state_message(0, value)
 
 
-def param_value(name: str, bits: bytes, kind: int = 9, count: int = 3, index: int = 65535) -> wire.RawMessage:
-    return wire.RawMessage(22, struct.pack("<4sHH16sB", bits, count, index, name.encode(), kind))
+def param_value(name: str, bits: bytes, kind: int = 9, count: int = 3, index: int = 65535) -> RawMessage:
+    return RawMessage(22, struct.pack("<4sHH16sB", bits, count, index, name.encode(), kind))
 
 
 def real(value: float) -> bytes:
@@ -129,10 +133,10 @@ class FakeVehicle:
     def hear(self, *messages: Reply) -> None:
         frames = []
         for message in messages:
-            data = wire.encode(wire.raw_message(message), 1, 1, 0)
+            data = encode(raw_message(message), 1, 1, 0)
             self.link.received += 1
             self.link.bytes_received += len(data)
-            frames += wire.FrameParser().feed(data)
+            frames += FrameParser().feed(data)
         self.vehicle.feed(frames, Batch(tuple(frames), self.clock.now, 0, 0))
 
     def advance(self, seconds: float) -> None:

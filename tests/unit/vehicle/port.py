@@ -8,7 +8,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import encode, raw_message
 from tests.unit.vehicle.fake import FakeVehicle, ack
 
 IMU, IMU2, RAW = 26, 116, 27
@@ -68,7 +68,7 @@ class Ported:
         return []
 
     def _send(self, message: Any, now: float) -> None:
-        size = len(wire.encode(wire.raw_message(message), 1, 1, 0))
+        size = len(encode(raw_message(message), 1, 1, 0))
         at = now
         if self.bytes_per_s:
             self._free = at = max(self._free, now) + size / self.bytes_per_s

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, LinkDown, VehicleSilent
-from mavcal.service.vehicle import command
-from mavcal.service.vehicle.commands import check_allowed
+from mavcal.service.vehicle.commands import check_allowed, command
 from tests.unit.vehicle.fake import FakeVehicle, ack
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib.wire import ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire.parameters import ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import ParameterRejected
 from mavcal.service.vehicle.encoding import bits_from_value, same_value
 

@@ -6,8 +6,7 @@ import itertools
 
 import pytest
 
-from mavcal.service.vehicle import request_streams
-from mavcal.service.vehicle.streams import FRESH_S, MEASURE_S, REMEMBERED_S, demand_streams
+from mavcal.service.vehicle.streams import FRESH_S, MEASURE_S, REMEMBERED_S, demand_streams, request_streams
 from tests.unit.vehicle.fake import FakeVehicle
 from tests.unit.vehicle.port import IMU, IMU2, RAW, Ported, requests
 

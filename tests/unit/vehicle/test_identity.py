@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib import wire
-from mavcal.calib.wire import ParameterEncoding
-from mavcal.service.vehicle import Autopilot
-from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from mavcal.calib.wire.codec import decode
+from mavcal.calib.wire.parameters import ParameterEncoding
+from mavcal.calib.wire.tlog import iter_tlog
+from mavcal.service.vehicle.identity import Autopilot, VehicleIdentity, identity_from_heartbeat, identity_from_version
 from tests.unit.vehicle.fake import AP_CAPABILITIES, PX4_CAPABILITIES, heartbeat, version
 
 
@@ -84,7 +84,7 @@ def test_real_firmwares_are_recognised(
     shared_data: Path, name: str, autopilot: int, text: str, uid2: str | None
 ) -> None:
     log = (shared_data / name / "params.tlog").read_bytes()
-    message = next(wire.decode(frame) for _, frame in wire.iter_tlog(log) if frame.message_id == 148)
+    message = next(decode(frame) for _, frame in iter_tlog(log) if frame.message_id == 148)
     identity = identity_from_version(identity_from_heartbeat(heartbeat(autopilot)), message)
     assert identity.version_text == text
     assert identity.uid2 == uid2

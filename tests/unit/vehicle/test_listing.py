@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from mavcal.calib import wire
-from mavcal.calib.wire import HASH_CHECK, ParamType, ParamValue, decode_param_value
+from mavcal.calib.wire.codec import ParamValue, decode_param_value, encode
+from mavcal.calib.wire.frames import FrameParser
+from mavcal.calib.wire.parameters import HASH_CHECK, ParamType
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.listing import ParameterSet, _incomplete, _Listing
@@ -14,7 +15,7 @@ from tests.unit.vehicle.fake import FakeVehicle, param_value, real
 
 def heard(name: str, index: int, count: int = 2) -> ParamValue:
     raw = param_value(name, real(1.0), count=count, index=index)
-    (frame,) = wire.FrameParser().feed(wire.encode(raw, 1, 1, 0))
+    (frame,) = FrameParser().feed(encode(raw, 1, 1, 0))
     return decode_param_value(frame)
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
-from mavcal.service.vehicle import request_streams
+from mavcal.calib.wire.codec import encode
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service.vehicle.arrivals import LONGEST_S, OTHERS_S, START_S, Meter, watch
 from mavcal.service.vehicle.intervals import get_interval
 from mavcal.service.vehicle.streams import (
@@ -19,6 +19,7 @@ from mavcal.service.vehicle.streams import (
     _late_anyway,
     _late_s,
     _smaller,
+    request_streams,
 )
 from tests.unit.vehicle.fake import FakeVehicle, ack, delay_answers
 
@@ -29,8 +30,8 @@ def imu(at_s: float) -> Any:
     return dialect.MAVLink_scaled_imu_message(int(at_s * 1000), *[0] * 10)
 
 
-def frame(message: Any) -> wire.Frame:
-    (only,) = wire.FrameParser().feed(wire.encode(message, 1, 1, 0))
+def frame(message: Any) -> Frame:
+    (only,) = FrameParser().feed(encode(message, 1, 1, 0))
     return only
 
 

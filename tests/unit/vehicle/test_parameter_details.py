@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
-from mavcal.calib.wire import HASH_CHECK, NO_INDEX, ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire.codec import raw_message
+from mavcal.calib.wire.parameters import HASH_CHECK, NO_INDEX, ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import (
     LinkDown,
     ParameterMissing,
@@ -56,7 +56,7 @@ async def test_a_link_that_goes_down_says_how_often_it_was_sent(ardupilot: FakeV
 
     def down(message: Any, target: object = None) -> None:
         nonlocal times
-        if wire.raw_message(message)[0] == dialect.MAVLINK_MSG_ID_PARAM_SET:
+        if raw_message(message)[0] == dialect.MAVLINK_MSG_ID_PARAM_SET:
             times += 1
             if times == 3:
                 raise LinkDown("gone")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import ParamType
+from mavcal.calib.wire.parameters import ParamType
 from mavcal.service.errors import (
     ParameterMissing,
     ParameterRejected,
@@ -18,7 +18,7 @@ from mavcal.service.errors import (
     VehicleConflict,
     VehicleSilent,
 )
-from mavcal.service.link import LinkEvent, LinkEventKind
+from mavcal.service.link.types import LinkEvent, LinkEventKind
 from tests.unit.vehicle.fake import FakeVehicle, delay_answers, heartbeat, param_value, real
 
 NAME = "INS_ACCOFFS_Y"

@@ -7,10 +7,13 @@ from typing import Any, cast
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
+from mavcal.calib.wire.codec import encode
+from mavcal.calib.wire.frames import FrameParser
 from mavcal.service.errors import LinkDown, VehicleConflict, VehicleUnknown
-from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind
-from mavcal.service.vehicle import VehicleEventKind, VehicleRegistry
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkEvent, LinkEventKind
+from mavcal.service.vehicle.events import VehicleEventKind
+from mavcal.service.vehicle.registry import VehicleRegistry
 from tests.clock import ManualClock
 from tests.unit.vehicle.fake import FakeLink, ack, heartbeat, param_value, real, version
 
@@ -36,7 +39,7 @@ class Air(FakeLink):
         self.sent.append(message)
 
     def say(self, message: Any, system: int = 1, component: int = 1, at: float = 0.0) -> None:
-        frames = wire.FrameParser().feed(wire.encode(message, system, component, 0))
+        frames = FrameParser().feed(encode(message, system, component, 0))
         for callback in list(self.taken):
             callback(Batch(tuple(frames), at, 0, 0))
 
@@ -155,8 +158,8 @@ def _only_conflict(vehicle: Any) -> None:
     """Everything else is fine with this vehicle."""
     now = vehicle.clock()
     for seconds in (4.0, 3.0, 2.0, 1.0, 0.0):
-        frames = wire.FrameParser().feed(
-            wire.encode(heartbeat(), 1, 1, 0) + wire.encode(dialect.MAVLink_extended_sys_state_message(0, 1), 1, 1, 1)
+        frames = FrameParser().feed(
+            encode(heartbeat(), 1, 1, 0) + encode(dialect.MAVLink_extended_sys_state_message(0, 1), 1, 1, 1)
         )
         vehicle.feed(frames, Batch(tuple(frames), now - seconds, 0, 0))
     vehicle.require_writable()

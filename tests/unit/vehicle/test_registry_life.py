@@ -10,9 +10,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.errors import LinkDown
-from mavcal.service.link import Link
-from mavcal.service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
-from mavcal.service.vehicle.registry import IDLE_S, IDLE_TURNS, TICK_S, TOGETHER
+from mavcal.service.link.link import Link
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.registry import IDLE_S, IDLE_TURNS, TICK_S, TOGETHER, VehicleRegistry
 from tests.clock import ManualClock
 from tests.unit.vehicle.fake import heartbeat, version
 from tests.unit.vehicle.test_registry import Air, attached, registry

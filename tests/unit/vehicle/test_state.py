@@ -6,11 +6,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.vehicle.calibration import CalibrationSign, OnboardCalibration
 from mavcal.service.vehicle.state import (
     KEPT_TEXTS,
     SILENT_S,
+    CalibrationSign,
     Landed,
+    OnboardCalibration,
     Refusal,
     VehicleState,
     changed,

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.link import parse_endpoint
-from mavcal.service.vehicle import request_streams
+from mavcal.service.link.endpoint import parse_endpoint
+from mavcal.service.vehicle.streams import request_streams
 from tests.unit.vehicle.fake import FakeVehicle, ack, delay_answers
 
 IMU, IMU2 = 26, 116

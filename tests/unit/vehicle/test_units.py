@@ -9,11 +9,14 @@ from typing import Any, cast
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.codec import decode, encode, param_bytes, raw_message
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service.errors import LinkDown
-from mavcal.service.link import Batch, Link, LinkEvent
-from mavcal.service.vehicle import Vehicle, VehicleEventKind, VehicleRegistry
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import Batch, LinkEvent
+from mavcal.service.vehicle.events import VehicleEventKind
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.vehicle import Vehicle
 from tests.clock import ManualClock
 from tests.unit.vehicle.fake import FakeLink, heartbeat, landed, param_value, real, version
 
@@ -47,15 +50,15 @@ class Air(FakeLink):
     def send(self, message: Any, _target: object = None) -> None:
         if self.down:
             raise LinkDown("it is cut")
-        (frame,) = wire.FrameParser().feed(wire.encode(wire.raw_message(message), 253, 190, 0))
-        decoded = wire.decode(frame)
+        (frame,) = FrameParser().feed(encode(raw_message(message), 253, 190, 0))
+        decoded = decode(frame)
         self.sent.append(decoded)
         for board in self.boards:
             board.told(self, frame, decoded)
 
     def say(self, message: Any) -> None:
         if not self.down:
-            frames = wire.FrameParser().feed(wire.encode(wire.raw_message(message), 1, 1, 0))
+            frames = FrameParser().feed(encode(raw_message(message), 1, 1, 0))
             for callback in list(self._taken):
                 callback(Batch(tuple(frames), self.clock.now, 0, 0))
 
@@ -83,7 +86,7 @@ class Board:
         elif kind == "PARAM_SET" and not self.deaf:
             self.values[message.param_id] = message.param_value
             for every in self.airs:
-                loop.call_soon(every.say, param_value(message.param_id, wire.param_bytes(frame)))
+                loop.call_soon(every.say, param_value(message.param_id, param_bytes(frame)))
 
     def speak(self, now: float) -> None:
         for air in self.airs:
@@ -105,7 +108,7 @@ class World:
     def air(self, name: str, endpoint: str = "") -> Air:
         air = Air(name, self.clock)
         if endpoint:
-            from mavcal.service.link import parse_endpoint
+            from mavcal.service.link.endpoint import parse_endpoint
 
             air.endpoint = parse_endpoint(endpoint)
         self.registry.attach(cast(Link, air))

@@ -17,9 +17,10 @@ from mavcal.service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from mavcal.service.link import LinkEvent, LinkEventKind
-from mavcal.service.vehicle import VehicleEventKind, subscribers
+from mavcal.service.link.types import LinkEvent, LinkEventKind
+from mavcal.service.vehicle import subscribers
 from mavcal.service.vehicle.commands import REQUEST_CAPABILITIES, REQUEST_MESSAGE
+from mavcal.service.vehicle.events import VehicleEventKind
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, landed, param_value, real, version
 
 

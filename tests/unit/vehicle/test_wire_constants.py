@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import ParameterEncoding, ParamType
+from mavcal.calib.wire.parameters import ParameterEncoding, ParamType
 from mavcal.service.errors import ParameterRejected
 from mavcal.service.jobs.write import guard
 from mavcal.service.jobs.write import steps as restart

@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.wire import frames
-from mavcal.calib.wire.frames import MAGIC_V1, MAGIC_V2, SIGNED, cut, next_magic
+from mavcal.calib.wire.codec import RawMessage, decode, encode, padded_payload
+from mavcal.calib.wire.frames import CRC_EXTRA, MAGIC_V1, MAGIC_V2, SIGNED, FrameParser, cut, next_magic
+from mavcal.calib.wire.signing import SignatureState, Signing, sign, signing_time
+from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 from tests.examples import examples
 
 KEY = bytes(range(32))
@@ -25,7 +27,7 @@ def heartbeat(autopilot=3):
 
 
 def encoded(message=None, sequence=0, system=1, **kw):
-    return wire.encode(heartbeat() if message is None else message, system, 1, sequence, **kw)
+    return encode(heartbeat() if message is None else message, system, 1, sequence, **kw)
 
 
 def unknown(payload=b"abc", *, system=1, flags=0, message_id=UNKNOWN):
@@ -34,7 +36,7 @@ def unknown(payload=b"abc", *, system=1, flags=0, message_id=UNKNOWN):
 
 
 def read(data, **kw):
-    parser = wire.FrameParser()
+    parser = FrameParser()
     found = parser.feed(data, **kw) + parser.finish(**kw)
     return found, parser
 
@@ -59,18 +61,18 @@ def test_a_checksum_goes_on_where_it_stopped_compiled_or_not(data, more):
     component=st.integers(0, 255),
 )
 def test_what_is_encoded_is_read_back_with_its_header(message_id, payload, sequence, system, component):
-    made = wire.encode(wire.RawMessage(message_id, payload), system, component, sequence)
+    made = encode(RawMessage(message_id, payload), system, component, sequence)
     (frame,), parser = read(made)
     assert (frame.system, frame.component, frame.message_id) == (system, component, message_id)
     assert frame.sequence == sequence % 256
     assert frame.payload == (payload.rstrip(b"\x00") or payload[:1])
-    assert wire.padded_payload(frame, len(payload)) == payload
+    assert padded_payload(frame, len(payload)) == payload
     assert (frame.version, frame.known, frame.signature) == (2, True, None)
     assert (parser.skipped_bytes, parser.crc_errors) == (0, 0)
 
 
 def test_a_payload_of_zeros_keeps_its_first_byte():
-    (frame,), _ = read(wire.encode(wire.RawMessage(0, bytes(9)), 1, 1, 0))
+    (frame,), _ = read(encode(RawMessage(0, bytes(9)), 1, 1, 0))
     assert frame.payload == b"\x00"
 
 
@@ -95,7 +97,7 @@ def test_an_incompatible_flag_that_is_not_known_makes_it_no_frame():
 
 
 def test_a_signed_frame_is_complete_with_its_thirteen_bytes_only():
-    made = encoded(signing=wire.Signing(KEY, 5, 7))
+    made = encoded(signing=Signing(KEY, 5, 7))
     assert len(made) == 21 + 13
     assert cut(made[:-1], 0, len(made) - 1) == frames._INCOMPLETE
     frame = cut(made, 0, len(made))
@@ -105,7 +107,7 @@ def test_a_signed_frame_is_complete_with_its_thirteen_bytes_only():
 
 def test_a_message_of_the_first_version_that_is_not_known_is_no_frame():
     """Ten bytes would be enough for one in any garbage; nothing vouches for it."""
-    foreign = next(i for i in range(256) if i not in wire.CRC_EXTRA)
+    foreign = next(i for i in range(256) if i not in CRC_EXTRA)
     found, parser = read(bytes([MAGIC_V1, 3, 0, 1, 1, foreign]) + b"abc\x00\x00")
     assert found == []
     assert parser.unknown == 0
@@ -131,11 +133,11 @@ def test_messages_that_are_not_kept_are_counted_and_stepped_over():
     assert [f.message_id for f in found] == [UNKNOWN]
     assert (parser.unknown, parser.skipped_bytes) == (1, 0)
     assert read(stream, keep_ids=frozenset())[0] == []
-    assert wire.FrameParser().feed_datagram(encoded(), frozenset({1})) == []
+    assert FrameParser().feed_datagram(encoded(), frozenset({1})) == []
 
 
 def test_a_reset_counts_what_it_forgets_and_keeps_its_counters():
-    parser = wire.FrameParser()
+    parser = FrameParser()
     parser.feed(b"\x00\x00" + encoded()[:7])
     assert (parser.pending, parser.skipped_bytes) == (7, 2)
     parser.reset()
@@ -145,7 +147,7 @@ def test_a_reset_counts_what_it_forgets_and_keeps_its_counters():
 
 
 def test_a_datagram_takes_nothing_of_the_stream_before_it():
-    parser = wire.FrameParser()
+    parser = FrameParser()
     parser.feed(encoded()[:7])
     assert len(parser.feed_datagram(encoded())) == 1
     assert parser.skipped_bytes == 7
@@ -161,30 +163,30 @@ def test_the_next_magic_byte_is_the_nearest_of_both(data, start):
 
 
 def test_a_signature_is_the_first_six_bytes_of_sha_256_over_key_and_frame():
-    made = encoded(signing=wire.Signing(KEY, 9, 0x0102030405))
+    made = encoded(signing=Signing(KEY, 9, 0x0102030405))
     plain, block = made[:-13], made[-13:]
     assert block[:1] == b"\x09"
     assert block[1:7] == bytes([5, 4, 3, 2, 1, 0])
     assert block[7:] == hashlib.sha256(KEY + plain + block[:7]).digest()[:6]
-    assert wire.sign(plain, KEY, 9, 0x0102030405) == made
+    assert sign(plain, KEY, 9, 0x0102030405) == made
 
 
 @pytest.mark.parametrize(
     ("unix_s", "units"), [(1_420_070_400.0, 0), (1_420_070_401.0, 100_000), (1_420_070_400.00001, 1)]
 )
 def test_time_of_signatures_begins_in_2015_in_units_of_ten_microseconds(unix_s, units):
-    assert wire.signing_time(unix_s) == pytest.approx(units, abs=1)
+    assert signing_time(unix_s) == pytest.approx(units, abs=1)
 
 
 def signed(timestamp, *, link_id=1, system=1, component=1):
-    made = wire.encode(heartbeat(), system, component, 0, wire.Signing(KEY, link_id, timestamp))
-    (frame,) = wire.FrameParser().feed(made)
+    made = encode(heartbeat(), system, component, 0, Signing(KEY, link_id, timestamp))
+    (frame,) = FrameParser().feed(made)
     return frame
 
 
 @pytest.mark.parametrize("other", [{"link_id": 2}, {"system": 2}, {"component": 2}])
 def test_each_link_system_and_component_has_a_time_of_its_own(other):
-    state = wire.SignatureState(KEY, 1_000_000_000)
+    state = SignatureState(KEY, 1_000_000_000)
     assert state.accept(signed(1_000_000_100))
     assert not state.accept(signed(1_000_000_050))
     assert state.accept(signed(1_000_000_050, **other))
@@ -193,36 +195,36 @@ def test_each_link_system_and_component_has_a_time_of_its_own(other):
 
 
 def test_a_stream_that_is_new_may_be_a_minute_behind_and_an_old_one_not():
-    state = wire.SignatureState(KEY, 1_000_000_000)
+    state = SignatureState(KEY, 1_000_000_000)
     assert not state.accept(signed(1_000_000_000 - 6_000_001))
     assert state.accept(signed(1_000_000_000 - 6_000_000))
     assert state.timestamp == 1_000_000_000
-    assert state.next_signing(3, 5) == wire.Signing(KEY, 3, 1_000_000_001)
+    assert state.next_signing(3, 5) == Signing(KEY, 3, 1_000_000_001)
 
 
 def test_an_unsigned_frame_is_rejected_and_counted():
-    state = wire.SignatureState(KEY)
-    (frame,) = wire.FrameParser().feed(encoded())
+    state = SignatureState(KEY)
+    (frame,) = FrameParser().feed(encoded())
     assert not state.accept(frame)
     assert (state.accepted, state.rejected) == (0, 1)
 
 
 def test_a_message_that_nobody_knows_is_neither_sent_nor_decoded():
     with pytest.raises(InvalidInputError, match="message id 10000 is not in the dialect and cannot be sent"):
-        wire.encode(wire.RawMessage(UNKNOWN, b"x"), 1, 1, 0)
-    foreign = next(i for i in wire.CRC_EXTRA if i not in dialect.mavlink_map)
-    (frame,), _ = read(wire.encode(wire.RawMessage(foreign, b"abc"), 1, 1, 0))
+        encode(RawMessage(UNKNOWN, b"x"), 1, 1, 0)
+    foreign = next(i for i in CRC_EXTRA if i not in dialect.mavlink_map)
+    (frame,), _ = read(encode(RawMessage(foreign, b"abc"), 1, 1, 0))
     assert frame.known
     with pytest.raises(InvalidInputError, match=f"message id {foreign} is not in the dialect; filter by id first"):
-        wire.decode(frame)
+        decode(frame)
 
 
 def records(*raws, start=1_700_000_000_000_000):
-    return b"".join(wire.tlog_record(start + k, raw) for k, raw in enumerate(raws))
+    return b"".join(tlog_record(start + k, raw) for k, raw in enumerate(raws))
 
 
 def test_a_log_is_read_the_same_each_time_and_counts_afresh():
-    reader = wire.TlogReader(records(encoded(sequence=1), unknown(), encoded(sequence=2)) + b"\x01\x02\x03")
+    reader = TlogReader(records(encoded(sequence=1), unknown(), encoded(sequence=2)) + b"\x01\x02\x03")
     first, again = list(reader), list(reader)
     assert first == again
     assert (reader.records, reader.unknown, reader.skipped_bytes) == (3, 1, 3)
@@ -230,13 +232,13 @@ def test_a_log_is_read_the_same_each_time_and_counts_afresh():
 
 def test_an_unknown_message_of_a_log_needs_another_record_or_the_end_behind_it():
     whole = records(encoded(sequence=1), unknown())
-    assert [f.known for _, f in wire.iter_tlog(whole)] == [True, False]
+    assert [f.known for _, f in iter_tlog(whole)] == [True, False]
     broken = records(encoded(sequence=1), unknown() + b"\x00", encoded(sequence=2))
-    assert [f.sequence for _, f in wire.iter_tlog(broken)] == [1, 2]
+    assert [f.sequence for _, f in iter_tlog(broken)] == [1, 2]
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00" * 8, b"\xfd" * 9])
 def test_a_log_without_a_record_has_none(data):
-    reader = wire.TlogReader(data)
+    reader = TlogReader(data)
     assert list(reader) == []
     assert reader.skipped_bytes == len(data)

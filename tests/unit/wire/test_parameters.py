@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcal.calib import wire
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.wire import ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire.codec import RawMessage, decode, decode_param_value, encode, param_bytes, param_set
+from mavcal.calib.wire.frames import FrameParser
+from mavcal.calib.wire.parameters import ParameterEncoding, ParamType, heard_value, usual_encoding, value_from_bits
 
 CAST, BYTEWISE = ParameterEncoding.CAST, ParameterEncoding.BYTEWISE
 RANGES = {
@@ -66,7 +67,7 @@ def test_the_pattern_of_a_nan_is_an_integer_where_it_is_copied():
     ("autopilot", "encoding"), [("px4", BYTEWISE), ("ardupilot", CAST), ("other", CAST), (None, CAST)]
 )
 def test_px4_copies_and_all_others_cast(autopilot, encoding):
-    assert wire.usual_encoding(autopilot) is encoding
+    assert usual_encoding(autopilot) is encoding
 
 
 def test_everything_but_a_real_number_is_an_integer():
@@ -78,8 +79,8 @@ SEVEN = struct.pack("<f", 7.0)
 
 def heard(name=b"INS_ACC_ID", bits=SEVEN, kind=6, count=900, index=12, encoding=CAST):
     payload = struct.pack("<4sHH16sB", bits, count, index, name, kind)
-    (frame,) = wire.FrameParser().feed(wire.encode(wire.RawMessage(22, payload), 1, 1, 0))
-    return wire.heard_value(frame, encoding)
+    (frame,) = FrameParser().feed(encode(RawMessage(22, payload), 1, 1, 0))
+    return heard_value(frame, encoding)
 
 
 def test_a_value_is_heard_with_its_place_in_the_list():
@@ -111,12 +112,12 @@ def test_a_name_ends_at_its_first_zero_and_what_is_no_letter_is_marked():
 @given(name=st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ_0123456789", min_size=1, max_size=16), value=st.integers(-99, 99))
 def test_what_is_set_is_read_by_the_dialect(name, value):
     bits = struct.pack("<f", value)
-    (frame,) = wire.FrameParser().feed(wire.encode(wire.param_set(3, 4, name, bits, 9), 1, 1, 0))
-    message = wire.decode(frame)
+    (frame,) = FrameParser().feed(encode(param_set(3, 4, name, bits, 9), 1, 1, 0))
+    message = decode(frame)
     assert (message.target_system, message.target_component, message.param_type) == (3, 4, 9)
     assert message.param_id.rstrip("\x00") == name
     assert message.param_value == value
-    assert wire.param_bytes(frame) == bits
+    assert param_bytes(frame) == bits
 
 
 @pytest.mark.parametrize(
@@ -124,15 +125,15 @@ def test_what_is_set_is_read_by_the_dialect(name, value):
 )
 def test_a_name_or_value_that_does_not_fit_is_refused(name, bits):
     with pytest.raises(InvalidInputError, match="a parameter name has 1 to 16 characters and a value 4 bytes"):
-        wire.param_set(1, 1, name, bits, 9)
+        param_set(1, 1, name, bits, 9)
 
 
 def test_other_messages_carry_no_parameter():
-    (frame,) = wire.FrameParser().feed(wire.encode(wire.RawMessage(0, b"abc"), 1, 1, 0))
+    (frame,) = FrameParser().feed(encode(RawMessage(0, b"abc"), 1, 1, 0))
     with pytest.raises(InvalidInputError, match="message id 0 carries no parameter value"):
-        wire.param_bytes(frame)
+        param_bytes(frame)
     with pytest.raises(InvalidInputError, match="message id 0 is not PARAM_VALUE"):
-        wire.decode_param_value(frame)
-    (setting,) = wire.FrameParser().feed(wire.encode(wire.param_set(1, 1, "A", bytes(4), 9), 1, 1, 0))
+        decode_param_value(frame)
+    (setting,) = FrameParser().feed(encode(param_set(1, 1, "A", bytes(4), 9), 1, 1, 0))
     with pytest.raises(InvalidInputError, match="message id 23 is not PARAM_VALUE"):
-        wire.decode_param_value(setting)
+        decode_param_value(setting)

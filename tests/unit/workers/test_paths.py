@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavcal.service.workers.paths import BELOW, moved
+from mavcal.service.workers.queue import BELOW, moved
 from tests.examples import examples
 
 OURS, THEIRS = Path("/instance/uploads"), Path("/worker/mnt")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.calib.firmware import compass_offset_changes
+from mavcal.calib.firmware.in_force.rewritten import compass_offset_changes
 from mavcal.calib.recording import Event, ParameterEntry, ParameterTimeline, Recording
 
 SAID = "[vehicle_magnetometer] 1 (197388) EST:0 offset: [0.000, 0.000, 0.000]->[0.047, -0.029, 0.000]"

@@ -8,8 +8,8 @@ import pytest
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware import Undo, calibration_changes, calibration_in_force, undo
-from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, KnownCalibration, Piece
+from mavcal.calib.firmware import calibration_in_force
+from mavcal.calib.firmware.in_force.undo import GUARD_AFTER_S, KnownCalibration, Piece, Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import ardupilot_imu_names
 from mavcal.calib.recording import (
     Channel,

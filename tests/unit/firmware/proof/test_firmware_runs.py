@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware import undo
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, SensorVerdict, WritePlan
 from mavcal.calib.firmware.proof.verify import verify

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.stream.announcements import Announcements
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import FrameParser
+from mavcal.calib.wire.frames import FrameParser
 
 
 def frame(message):

@@ -11,10 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware.stream.assembler import WRAP_S, VehicleClock
-from mavcal.calib.firmware.stream.rates import Assembler, live_streams, requested_streams
+from mavcal.calib.firmware.stream.assembler import WRAP_S, Assembler, VehicleClock
+from mavcal.calib.firmware.stream.rates import live_streams, requested_streams
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
-from mavcal.calib.wire import Frame, FrameParser, RawMessage, encode
+from mavcal.calib.wire.codec import RawMessage, encode
+from mavcal.calib.wire.frames import Frame, FrameParser
 from tests.examples import examples
 
 ARDUPILOT = Identity(autopilot="ardupilot", system=1, component=1)

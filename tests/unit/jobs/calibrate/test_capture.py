@@ -12,7 +12,7 @@ from mavcal.calib.errors import ProcedureError
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep, Step
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.calib.recording import Identity
-from mavcal.calib.wire import Frame
+from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.calibrate import capture as capture_module
 from mavcal.service.jobs.calibrate.capture import Capture, _needs_operator

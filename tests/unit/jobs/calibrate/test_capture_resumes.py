@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.calib.recording import Identity
+from mavcal.calib.wire.codec import encode, raw_message
+from mavcal.calib.wire.frames import FrameParser
 from mavcal.service.errors import CaptureEnded, CaptureLost, VehicleSilent
 from mavcal.service.jobs.calibrate.capture import Capture
 from mavcal.service.jobs.calibrate.digest import LiveDigest
@@ -36,7 +37,7 @@ BEGAN = 1_700_000_000.0
 def record(wall_s: float, boot_s: float) -> bytes:
     """One record of a telemetry log: RAW_IMU, received at `wall_s`."""
     message = dialect.MAVLink_raw_imu_message(round(1e6 * boot_s), 0, 0, -1000, 0, 0, 0, 1, 2, 3, 0, 2500)
-    data = wire.encode(wire.raw_message(message), 1, 1, 0)
+    data = encode(raw_message(message), 1, 1, 0)
     return round(1e6 * wall_s).to_bytes(8, "big") + bytes(data)
 
 
@@ -110,7 +111,7 @@ async def test_the_vehicles_clock_must_have_gone_on_as_long_as_ours(capture: AtO
     """Ten seconds passed between the last record and now; five are for what waits in buffers."""
     interrupted(capture)
     await capture.run()
-    parser = wire.FrameParser()
+    parser = FrameParser()
     capture.begun.feed(list(parser.feed(record(0.0, boot_s)[8:])))
     if lost:
         with pytest.raises(CaptureLost, match="restarted while the service was away"):

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
 from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.procedures.base import TickedProcedure
-from mavcal.calib.procedures.context import OperatorAnswer
 from mavcal.calib.procedures.protocol import GaveUp, Step
 from mavcal.calib.procedures.registry import validate_options
+from mavcal.calib.procedures.spec import OperatorAnswer
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
+from mavcal.calib.wire.codec import encode, raw_message
+from mavcal.calib.wire.frames import Frame, FrameParser
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
 from mavcal.service.jobs.calibrate import digest as digest_module
 from mavcal.service.jobs.calibrate.digest import (
@@ -137,9 +138,9 @@ def param_value(name: str, value: float) -> Any:
     return dialect.MAVLink_param_value_message(name.encode(), value, 9, 10, 1)
 
 
-def heard(*messages: Any) -> list[wire.Frame]:
-    parser = wire.FrameParser()
-    return [f for m in messages for f in parser.feed(wire.encode(wire.raw_message(m), 1, 1, 0))]
+def heard(*messages: Any) -> list[Frame]:
+    parser = FrameParser()
+    return [f for m in messages for f in parser.feed(encode(raw_message(m), 1, 1, 0))]
 
 
 ARDUPILOT = Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1)
@@ -157,9 +158,7 @@ def test_a_capture_in_which_a_calibration_changes_is_refused_at_once() -> None:
 def test_a_segment_in_which_a_calibration_changed_is_not_fitted(tmp_path: Path) -> None:
     beat = dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
     messages = [beat, param_value("INS_GYROFFS_X", 0.5), param_value("INS_GYROFFS_X", 0.25)]
-    data = b"".join(
-        (10**15 + k).to_bytes(8, "big") + wire.encode(wire.raw_message(m), 1, 1, k) for k, m in enumerate(messages)
-    )
+    data = b"".join((10**15 + k).to_bytes(8, "big") + encode(raw_message(m), 1, 1, k) for k, m in enumerate(messages))
     path = tmp_path / "b.tlog"
     path.write_bytes(data)
     span = LogSpan(path, 0, len(data), hashlib.sha256(data).hexdigest())

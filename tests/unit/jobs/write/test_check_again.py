@@ -15,7 +15,7 @@ from mavcal.calib.firmware.plan import SensorVerdict, Verification
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
-from mavcal.calib.wire import FrameParser
+from mavcal.calib.wire.frames import FrameParser
 from mavcal.service.errors import WriteStopped
 from mavcal.service.jobs.write.guard import WriteGuard
 from mavcal.service.jobs.write.stream_check import HOLD_STILL, StreamCheck

@@ -5,10 +5,11 @@ import asyncio
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
 from mavcal.calib.firmware.plan import Movement
 from mavcal.calib.firmware.proof.verify import FACES
 from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.wire.codec import encode, raw_message
+from mavcal.calib.wire.frames import FrameParser
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.write.stream_check import POLL_S, Window, proving
 from tests.unit.jobs.conftest import QUICK
@@ -35,12 +36,12 @@ class Rest:
 
     def __init__(self) -> None:
         self.vehicle = FakeVehicle({})
-        self.parser = wire.FrameParser()
+        self.parser = FrameParser()
 
     def send(self, *seconds: float) -> None:
         for t in seconds:
             message = dialect.MAVLink_raw_imu_message(round(1e6 * t), 0, 0, -1000, 0, 0, 0, 1, 2, 3, 0, 2500)
-            self.vehicle.deliver(tuple(self.parser.feed(wire.encode(wire.raw_message(message), 1, 1, 0))))
+            self.vehicle.deliver(tuple(self.parser.feed(encode(raw_message(message), 1, 1, 0))))
 
 
 async def test_a_window_is_as_long_as_the_vehicles_clock_says_and_grows() -> None:

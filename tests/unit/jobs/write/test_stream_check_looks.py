@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib import wire
 from mavcal.calib.firmware.plan import (
     Change,
     Movement,
@@ -27,6 +26,7 @@ from mavcal.calib.firmware.plan import (
 )
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.wire.codec import encode, raw_message
 from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.write import stream_check as verify_module
@@ -78,7 +78,7 @@ def recording(end: float) -> Recording:
 def record(boot_s: float) -> bytes:
     """One record of a telemetry log: RAW_IMU."""
     message = dialect.MAVLink_raw_imu_message(round(1e6 * boot_s), 0, 0, -1000, 0, 0, 0, 1, 2, 3, 0, 2500)
-    return bytes(8) + bytes(wire.encode(wire.raw_message(message), 1, 1, 0))
+    return bytes(8) + bytes(encode(raw_message(message), 1, 1, 0))
 
 
 @dataclass

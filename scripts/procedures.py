@@ -1,17 +1,20 @@
-"""The table of what each procedure needs, ends on, writes and cannot represent, made from the specifications."""
+"""``scripts/procedures``: ``docs/procedures.md``, what each procedure needs, ends on, writes and cannot represent."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 from mavcal.calib.firmware import TITLES
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.procedures.spec import ProcedureSpec
 
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "procedures.md"
 _HEAD = """# Procedures
 
 For: drone operators, and who writes a prompt of their own.
 
-Generated from the specifications in `calib/procedures` by `calib.procedures.table.markdown()`; a test compares them.
+Written by `scripts/procedures` from the specifications in `calib/procedures`; a test compares them.
 Time is the vehicle's own. Every procedure fits every instance that streams, ends when the requested uncertainty is
 reached, and gives up with the cause when it cannot be.
 """
@@ -49,3 +52,12 @@ def _option(option: Option) -> str:
     if isinstance(option.default, bool):
         return f"| `{option.name}` | {str(option.default).lower()} | | {option.help} |"
     return f"| `{option.name}` | {option.default:g}{unit} | {option.low:g} ... {option.high:g} | {option.help} |"
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(markdown(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
