@@ -154,13 +154,17 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     return _Flight(kept, parameters, jumped, wrong, near_ground(recording, kept), air)
 
 
+_OF_SITL: Final = (Kind(yaw_by_command=True), Kind(yaw_by_command=True, drag_turns=False))
+"""ArduPilot's simulator, of now and of 2023."""
+
+
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
     """How the simulator may make its forces; several are told apart by its own flight."""
     if sim.flight.ardupilot and any(name.startswith("SIM_") for name in sim.parameters):
-        return (Kind(drag_by_rotor=True, yaw_by_command=True),)
+        return _OF_SITL
     if any(name.startswith("SIH_") for name in sim.parameters):
         return (Kind(drag_by_rotor=False, yaw_by_command=False),)
-    return (Kind(drag_by_rotor=True), Kind(drag_by_rotor=False), Kind(drag_by_rotor=True, yaw_by_command=True))
+    return (Kind(), Kind(drag_by_rotor=False), *_OF_SITL)
 
 
 def _likelihood(one: _Flight, kind: Kind, volts: float | None, *, torque: bool) -> FlightLikelihood:
@@ -233,9 +237,9 @@ def _testable(
     gone = {m.id for m in untestable if not m.latent} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
-    named = catalogue(layout, rotors_damp=kind.drag_by_rotor, hover_gain=gains)
+    named = catalogue(layout, rotors_damp=kind.rotors_damp, hover_gain=gains)
     if air is not None and air.alike is None:
-        named = (*named, of_density(air, rotors_damp=kind.drag_by_rotor))
+        named = (*named, of_density(air, rotors_damp=kind.rotors_damp))
     torque = sim.likelihood.torque
     kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
     free = (e for e in nameless(layout) if torque or not e.torque)

@@ -136,11 +136,18 @@ class Kind:
     """What a family of vehicles or simulators does in its own way; common to both flights of a pair.
 
     `drag_by_rotor`: linear drag grows with the rotors' speed; `yaw_by_command`: the yaw reaction goes with command
-    times thrust, as in ArduPilot's simulator.
+    times thrust, as in ArduPilot's simulator; `drag_turns`: that drag acts where the rotors are, and damps turns. In
+    ArduPilot's simulator of 2023 it acted at the centre (``SIM_Motor.cpp`` took the torque before the drag).
     """
 
     drag_by_rotor: bool = True
     yaw_by_command: bool = False
+    drag_turns: bool = True
+
+    @property
+    def rotors_damp(self) -> bool:
+        """Whether another drag of the rotors is another damping too."""
+        return self.drag_by_rotor and self.drag_turns
 
 
 class Airframe:
@@ -352,11 +359,13 @@ class Airframe:
         by_x, by_y = of("gain_x") / (k * lever), of("gain_y") / (k * lever)
         by_z = 1.0 / (1.0 / max(by_x, 1e-3) + 1.0 / max(by_y, 1e-3)) if self.kind.drag_by_rotor else 0.0
         flapping = v * self._drive(thrust, k).mean(axis=1)[:, None]
-        roll = by_x * (rotors[2] @ y) + of("torque_x") - of("flap_x") * flapping[:, 1]
-        pitch = -by_y * (rotors[2] @ x) + of("torque_y") + of("flap_y") * flapping[:, 0]
+        along = rotors[2] if self.kind.drag_turns else (-k / n) * thrust
+        roll = by_x * (along @ y) + of("torque_x") - of("flap_x") * flapping[:, 1]
+        pitch = -by_y * (along @ x) + of("torque_y") + of("flap_y") * flapping[:, 0]
         yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
         yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
-        yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
+        if self.kind.drag_turns:
+            yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
         return self._grid.through(np.column_stack([roll, pitch, yaw]), self._filters[Sensor.GYRO])
 
     def _by_rates(self, theta: Array) -> Array:

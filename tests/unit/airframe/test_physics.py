@@ -242,3 +242,15 @@ def test_it_says_what_the_simulated_vehicle_does() -> None:
     np.testing.assert_allclose(force, forces, atol=2e-3)
     scale = np.abs(turns).max(axis=0)
     np.testing.assert_allclose(torque / scale, turns / scale, atol=2e-3)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_drag_at_the_centre_of_the_vehicle_turns_nothing(turns: bool) -> None:
+    """ArduPilot's simulator of 2023 subtracts the drag of a rotor after it has taken its torque."""
+    c = 0.5 + 0.1 * np.array([1.0, -1.0, -1.0, 1.0]) * np.ones((400, 1))
+    model = airframe(flight(c, velocity=np.tile([4.0, -2.0, 1.0], (400, 1))), kind=Kind(drag_turns=turns))
+    usual = {"k": 25.0, "gain_x": 200.0, "gain_y": 200.0, "gain_z": 8.0}
+    with_drag, without = (model.predicted(theta(model, **usual, c1=d, cz=d)) for d in (0.4, 0.0))
+    assert np.abs(with_drag[0] - without[0]).max() > 1.0
+    assert bool(np.abs(with_drag[1] - without[1]).max() > 0.1) is turns
+    assert Kind(drag_turns=turns).rotors_damp is turns
