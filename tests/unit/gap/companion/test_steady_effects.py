@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from mavcal.calib.gap.companion.baselines import simulated_baseline_of
 from mavcal.calib.gap.companion.steady_effects import steady_effects
 from mavcal.calib.gap.problem import MinimumGain, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.search.thresholds import GainThresholds
@@ -44,3 +45,14 @@ def test_an_effect_that_takes_the_readings_further_away_is_not_carried():
     found = steady_effects(dataclasses.replace(plain, traces=(blurred,)), ALPHA, GainThresholds(FEW))
     assert "accel_scale" in [one.effect.id for one in found.doubted]
     assert "accel_scale" not in [one.effect.id for one in found.supported]
+
+
+def test_an_error_of_the_simulators_own_reference_raises_no_threshold():
+    """It is taken off its readings, where the noise is learned, and says nothing of another flight."""
+    loose = ReferenceInfo(ReferenceKind.ESTIMATOR, 0.5, gyro_sd=(0.05,) * 9, field_sd=(0.1,) * 3)
+    problem = problem_of(np.random.default_rng(1), (Sensor.GYRO,), misaligned, reference=loose)
+    found = simulated_baseline_of(problem, ALPHA)
+    assert [effect.id for effect in found.own] == ["gyro_misalignment"]
+    assert (found.effects, found.uncertain, found.gains[Sensor.GYRO]) == ((), (), 0.0)
+    left = found.added_to_ideal(problem.traces)[0].residual
+    assert left.std() < 0.5 * problem.traces[0].residual.std()

@@ -12,6 +12,7 @@ from mavcal.calib.gap.diagnose import _setup_of, diagnose
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
 from mavcal.calib.gap.model.joint import NoiseTerm
+from mavcal.calib.gap.problem import MinimumGain
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.exchange import (
@@ -32,6 +33,7 @@ from mavcal.calib.gap.search.selection import (
     select,
     without_effect,
 )
+from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -169,3 +171,15 @@ def test_what_one_compass_has_is_no_second_order_of_what_all_have():
     few = tuple(e for e in catalogue() if e.id in ("mag_motor_current", "mag_hard_iron"))
     report = diagnose(dataclasses.replace(problem, traces=traces), effects=few, nested=False)
     assert {(e.id, e.instances) for e in report.effects} == {("mag_motor_current", (1, 2, 3)), ("mag_hard_iron", (1,))}
+
+
+@pytest.mark.parametrize(("least", "found"), [(1e3, {"accel_bias"}), (3e3, {"accel_bias"}), (1e4, set())])
+def test_a_mean_that_the_noise_hid_enters_by_what_it_is_worth_and_no_drift_takes_its_place(least, found):
+    """Learned noise whose level is a parameter holds an offset: it gains 2000, and 9000 once the noise is fitted."""
+    problem = problem_of(np.random.default_rng(1), (A,), lambda _: np.array([0.0, 0.0, 10.0 * SIGMA[A]]))
+    traces = tuple(dataclasses.replace(trace, sigma_dof=50.0) for trace in problem.traces)
+    few = {"accel_bias", "accel_scale", "accel_flicker", "accel_noise"}
+    task = _setup_of(dataclasses.replace(problem, traces=traces), tuple(e for e in catalogue() if e.id in few))
+    all_alike = {A: least}
+    thresholds = GainThresholds(MinimumGain(all_alike, all_alike, all_alike, all_alike, drift_entry=all_alike))
+    assert ids(select(task.bare, Contest(task.contest.hypotheses, thresholds=thresholds), 0.005)) == found
