@@ -248,10 +248,17 @@ def _compared(report: GapReport) -> bool:
 
 
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
-    """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is."""
-    for one in report.series:
-        if one.sensor != effect.sensor or not set(one.instances) & set(effect.instances):
-            continue
+    """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
+
+    Noise has no part in a series; it is larger if it gains more than two nats for each number. What drifts is not asked.
+    """
+    own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
+    known = by_id().get(effect.id)
+    if isinstance(known, NoiseEffect):
+        return (
+            bool(own) and not known.drifts and effect.evidence.two_delta_loglik > 4.0 * sum(s.t.size * 3 for s in own)
+        )
+    for one in own:
         left = np.nanmean((one.residual - one.modelled) ** 2)
         if any(name.startswith(effect.id) and np.nanmean(p**2) > left for name, p in one.parts.items()):
             return True

@@ -143,6 +143,16 @@ def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> No
         assert [e.id for e in after.effects] == named
 
 
+def test_loud_noise_is_named_though_its_unit_is_in_doubt() -> None:
+    """87 Hz of 1 m/s2 beside a second unit that is logged at 40 Hz was "no gap"."""
+    quiet = SeriesFit(Sensor.ACCEL, (1,), T, noise(1, 0.01), np.zeros((len(T), 3)), np.ones(3), "m/s2", {})
+    for each, named in ((3.0, ["thrust_scale", "accel_vibration"]), (0.5, ["thrust_scale"])):
+        shaking = effect("accel_vibration", (1,))
+        evidence = replace(shaking.evidence, probability=0.6, two_delta_loglik=2.0 * each * 3 * len(T))
+        before = replace(report(replace(shaking, evidence=evidence)), series=(quiet,))
+        assert [e.id for e in joined(before, answer(thrust()), BARE).effects] == named
+
+
 def test_an_airframes_effect_explains_a_gap_that_no_sensor_has() -> None:
     after = joined(report(), answer(thrust(), wind()), BARE)
     assert after.verdict is GapVerdict.EXPLAINED
