@@ -250,7 +250,7 @@ def _compared(report: GapReport) -> bool:
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
 
-    Noise has no part in a series; it is larger if it gains more than two nats for each number. What drifts is not asked.
+    Noise has no part in a series; it is larger if it gains more than two nats for each number. Drifts are not asked.
     """
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)
