@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.geometry import quaternion_product
 from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
@@ -221,23 +222,9 @@ def _prefix_products(q: Array) -> Array:
     """``q[0] q[1] ... q[i]`` of quaternions x y z w (N, 4), by doubling."""
     product, reach = q.T.copy(), 1
     while reach < len(q):
-        product = np.hstack([product[:, :reach], _multiplied(product[:, :-reach], product[:, reach:])])
+        product = np.hstack([product[:, :reach], quaternion_product(product[:, :-reach], product[:, reach:])])
         reach *= 2
     return np.asarray((product / np.linalg.norm(product, axis=0)).T)
-
-
-def _multiplied(p: Array, q: Array) -> Array:
-    """Products (4, N) of quaternions x y z w (4, N)."""
-    a, b, c, w = p
-    x, y, z, v = q
-    return np.stack(
-        [
-            w * x + a * v + b * z - c * y,
-            w * y - a * z + b * v + c * x,
-            w * z + a * y - b * x + c * v,
-            w * v - a * x - b * y - c * z,
-        ]
-    )
 
 
 def _aligned(carried: _Integrated, attitude: Channel | None, start: Array | None, begin: float) -> Array:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from mavcal.calib.geometry import frame_along, sphere_of
+from mavcal.calib.geometry import frame_along, quaternion_product, sphere_of
 
 
 @given(centre=st.tuples(*[st.floats(-1e4, 1e4)] * 3), radius=st.floats(0.1, 1e4), seed=st.integers(0, 100))
@@ -31,3 +32,9 @@ def test_a_frame_is_orthonormal_and_starts_along_its_direction(direction):
     assert frame.T @ frame == pytest.approx(np.eye(3), abs=1e-9)
     if np.linalg.norm(d) > 1e-100:
         assert abs(frame[:, 0] @ d) == pytest.approx(np.linalg.norm(d), rel=1e-9)
+
+
+def test_products_of_quaternions_are_those_of_rotations():
+    one, other = (Rotation.random(20, random_state=seed) for seed in (1, 2))
+    found = Rotation.from_quat(quaternion_product(one.as_quat().T, other.as_quat().T).T)
+    assert (found.inv() * (one * other)).magnitude() == pytest.approx(np.zeros(20), abs=1e-9)

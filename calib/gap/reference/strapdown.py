@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.reference.signals import Signal
+from mavcal.calib.geometry import quaternion_product
 
 Array = NDArray[np.float64]
 
@@ -86,24 +87,10 @@ class Increments:
         within = []
         for j in range(STEPS):
             within.append(Rotation.from_quat(turn.T))
-            half = _product(turn, halves[..., j])  # rotation and sculling to second order
+            half = quaternion_product(turn, halves[..., j])  # rotation and sculling to second order
             total += Rotation.from_quat(half.T).apply(velocity[:, j])
-            turn = _product(half, halves[..., j])
+            turn = quaternion_product(half, halves[..., j])
         return IntervalMotion(Rotation.from_quat(turn.T), total, tuple(within), angle / step)
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Rotations `p` after `q` as quaternions x y z w (4, K); ten times as fast as :class:`Rotation`."""
-    px, py, pz, pw = p
-    qx, qy, qz, qw = q
-    return np.stack(
-        [
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-            pw * qw - px * qx - py * qy - pz * qz,
-        ]
-    )
 
 
 @dataclass(frozen=True, eq=False)
