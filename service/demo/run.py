@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
@@ -221,40 +222,49 @@ class _Demo:
         if kind == "thermal":
             self._vehicle.call("temperature", value=PROOF_C)
         self._vehicle.call("speed", value=WRITING_SPEED)
-        self._apply(job, job.plan.sha256)
-        state = self._follow(job.id, until=ENDED, after_review=True)
+        state = self._written(job, job.plan.sha256)
         self._vehicle.call("speed", value=self._speed)
         job = self._client.get_job(job.id)
         if state != JobState.SUCCEEDED:
             raise DemoError(_why(job))
         return job, truth
 
-    def _apply(self, job: JobModel, digest: str) -> None:
+    def _written(self, job: JobModel, digest: str) -> JobState:
+        """The state in which the job ends; the plan is applied again where the vehicle was not ready for it yet."""
+        until = time.monotonic() + READY_S
+        for times in itertools.count(1):
+            self._apply(job, digest, f"{job.id}-{times}")
+            state = self._follow(job.id, until={JobState.REVIEW} | ENDED, writes=times)
+            if state in ENDED or time.monotonic() > until:
+                break
+        return state
+
+    def _apply(self, job: JobModel, digest: str, key: str) -> None:
         try:
             _when_ready(
                 lambda: self._client.apply_plan(
-                    job.id, plan_sha256=digest, reboot=True, prove_s=PROVE_S, idempotency_key=job.id
+                    job.id, plan_sha256=digest, reboot=True, prove_s=PROVE_S, idempotency_key=key
                 )
             )
         except ApiProblem as error:
             raise DemoError(f"{job.kind}: {error}") from error
 
-    def _follow(self, job_id: str, *, until: Set[JobState], after_review: bool = False) -> JobState:
-        """Move the vehicle as the job asks until it reaches one of these states."""
-        left_review = not after_review
+    def _follow(self, job_id: str, *, until: Set[JobState], writes: int = 0) -> JobState:
+        """Move the vehicle as the job asks until it reaches one of these states, after it began so many `writes`."""
+        left = writes
         try:
             for message in self._client.follow_job(job_id):
                 event = message.data
                 if isinstance(event, ProgressEvent):
                     self._screen.progress(event.data.model_dump())
-                elif isinstance(event, PromptEvent) and isinstance(event.data, PromptModel) and left_review:
-                    if after_review:
+                elif isinstance(event, PromptEvent) and isinstance(event.data, PromptModel) and not left:
+                    if writes:
                         self._vehicle.call("speed", value=self._speed)  # a movement takes as long as it takes
                     self._screen.prompt(event.data.text)
                     self._operator.follow(event.data.model_dump(mode="json"))
                 elif isinstance(event, StateEvent):
-                    left_review = left_review or event.data.state == JobState.APPLYING
-                    if left_review and event.data.state in until:
+                    left = max(left - (event.data.state == JobState.APPLYING), 0)
+                    if not left and event.data.state in until:
                         return event.data.state
         except Unreachable as error:
             raise DemoError(f"the events of job {job_id} ended early: {error}") from error
