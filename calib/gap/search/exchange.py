@@ -201,9 +201,10 @@ def second_order_evidence(chosen: ChosenModel, own: float) -> float:
     return prices.FLIGHT_SECOND_ORDER_SHARE * max(own, 0.0) if has_learned_spectrum(chosen.model) else 0.0
 
 
-Flexibility = tuple[bool, int]
-"""Whether an effect is noise that wanders, and its degrees of freedom, its shape among them. In this order: such noise
-takes the place of anything slow, and is freer than any number of amplitudes.
+Flexibility = tuple[bool, bool, int]
+"""Whether an effect is noise that wanders, whether it is a shape without a name, and its degrees of freedom, its shape
+among them. In this order: such noise takes the place of anything slow, and of a thousand shapes one is near anything.
+Both are freer than any number of amplitudes: a scale about one axis is near the product of its rate and gravity.
 """
 
 
@@ -214,7 +215,8 @@ def flexibility_of(chosen: ChosenModel, key: Key) -> Flexibility | None:
 
 def _flexibility(score: ContestScore) -> Flexibility:
     effect = score.hypothesis.effect
-    return effect.drifts, score.df + (isinstance(effect, MeanEffect) and effect.shape is not None)
+    df = score.df + (isinstance(effect, MeanEffect) and effect.shape is not None)
+    return effect.drifts, effect.nameless, df
 
 
 def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | None, second: float) -> float:

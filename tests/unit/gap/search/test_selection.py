@@ -44,7 +44,7 @@ def scored(delta, df, effect="accel_bias"):
     return ContestScore(hypothesis, math.nan, delta, df, 1, 0.0, delta, np.zeros(df))
 
 
-THREE, NINE = (False, 3), (False, 9)
+THREE, NINE = (False, False, 3), (False, False, 9)
 
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():
@@ -61,8 +61,23 @@ def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_b
 def test_noise_that_wanders_is_freer_than_any_number_of_amplitudes():
     own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
     assert evidence_deficit(own, scored(own + 0.5 * second, 1, "accel_random_walk"), NINE, second) > 0.0
-    assert evidence_deficit(own, scored(own - 0.05 * second, 9), (True, 1), second) < 0.0
-    assert evidence_deficit(own, scored(own + 1.0, 1, "accel_random_walk"), (True, 1), second) == pytest.approx(-1.0)
+    assert evidence_deficit(own, scored(own - 0.05 * second, 9), (True, False, 1), second) < 0.0
+    assert evidence_deficit(own, scored(own + 1.0, 1, "accel_random_walk"), (True, False, 1), second) == pytest.approx(
+        -1.0
+    )
+
+
+def test_a_name_goes_before_a_shape_that_is_better_by_a_second_order():
+    """A scale about one axis of a gyroscope was "the product of a_z and w_z", which has one number for its three."""
+    own, second = 1e6, prices.FLIGHT_SECOND_ORDER_SHARE * 1e6
+    shape = unnamed(scored(own + 0.5 * second, 1))
+    assert evidence_deficit(own, shape, THREE, second) > 0.0
+    assert evidence_deficit(own, scored(own - 0.05 * second, 3), (False, True, 1), second) < 0.0
+
+
+def unnamed(score):
+    effect = dataclasses.replace(score.hypothesis.effect, family="one product")
+    return dataclasses.replace(score, hypothesis=dataclasses.replace(score.hypothesis, effect=effect))
 
 
 A, G = Sensor.ACCEL, Sensor.GYRO
