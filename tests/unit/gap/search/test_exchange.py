@@ -26,7 +26,7 @@ def score(effect_id: str, delta: float, df: int) -> ContestScore:
 
 def test_a_shape_is_a_freedom() -> None:
     """A scale that vanishes at a temperature that is searched says no more than a plain one, and had half of it."""
-    plain = False, 3
+    plain = False, False, 3
     assert evidence_deficit(1000.0, score("gyro_scale", 1000.0, 3), plain, 10.0) == 0.0
     assert evidence_deficit(1000.0, score("gyro_temp_scale", 1000.0, 3), plain, 10.0) == 10.0
 
