@@ -255,9 +255,8 @@ def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)
     if isinstance(known, NoiseEffect):
-        return (
-            bool(own) and not known.drifts and effect.evidence.two_delta_loglik > 4.0 * sum(s.t.size * 3 for s in own)
-        )
+        numbers = sum(s.residual.size for s in own)
+        return not known.drifts and 0 < 4 * numbers < effect.evidence.two_delta_loglik
     for one in own:
         left = np.nanmean((one.residual - one.modelled) ** 2)
         if any(name.startswith(effect.id) and np.nanmean(p**2) > left for name, p in one.parts.items()):
