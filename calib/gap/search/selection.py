@@ -313,16 +313,24 @@ def _best_candidate(
         part = 0.0 if absorbed else prices.ENTRY_SHARE
         return max(part * _second_order_limit(hypothesis, model, gains), contest.thresholds.to_enter(hypothesis))
 
+    def may_be_hidden(score: ContestScore) -> bool:
+        return score.hypothesis.effect.sensor not in judged and _is_hidden_by_noise(score, model)
+
     beside: Projection | None = None
+    judged: set[Sensor] = set()
     while True:
-        good = [s for s in scores.values() if s.p < level and (s.gain >= least(s) or _is_hidden_by_noise(s, model))]
+        good = [s for s in scores.values() if s.p < level and (s.gain >= least(s) or may_be_hidden(s))]
         if not good:
             return None, None
         ranked = sorted(good, key=lambda s: -s.delta)
         most = prices.CANDIDATES_FITTED
         place, unsure = next(((k, s) for k, s in enumerate(ranked) if not s.sure), (most, None))
         if unsure is None or place >= most:
-            return _best_after_refit(ranked, least, model)
+            found = _best_after_refit(ranked, least, model)
+            if found[0] is not None:
+                return found
+            judged.add(ranked[0].hypothesis.effect.sensor)  # what the noise hides there is not worth enough
+            continue
         beside = beside or Projection(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 

@@ -198,3 +198,15 @@ def test_a_mean_that_the_noise_hid_enters_by_what_it_is_worth_and_no_drift_takes
     all_alike = {A: least}
     thresholds = GainThresholds(MinimumGain(all_alike, all_alike, all_alike, all_alike, drift_entry=all_alike))
     assert ids(select(task.bare, Contest(task.contest.hypotheses, thresholds=thresholds), 0.005)) == found
+
+
+def test_what_the_noise_hides_and_is_worth_too_little_keeps_no_other_sensor_out():
+    def gap(trace):
+        return np.array([0.0, 0.0, (10.0 if trace.sensor is A else 0.3) * SIGMA[trace.sensor]])
+
+    problem = problem_of(np.random.default_rng(1), (A, G), gap)
+    traces = tuple(dataclasses.replace(t, sigma_dof=50.0) for t in problem.traces)
+    few = {"accel_bias", "accel_scale", "gyro_bias"}
+    task = _setup_of(dataclasses.replace(problem, traces=traces), tuple(e for e in catalogue() if e.id in few))
+    thresholds = GainThresholds(MinimumGain(steady_entry={A: 1e5}))
+    assert ids(select(task.bare, Contest(task.contest.hypotheses, thresholds=thresholds), 0.005)) == {"gyro_bias"}
