@@ -208,5 +208,5 @@ def test_what_the_noise_hides_and_is_worth_too_little_keeps_no_other_sensor_out(
     traces = tuple(dataclasses.replace(t, sigma_dof=50.0) for t in problem.traces)
     few = {"accel_bias", "accel_scale", "gyro_bias"}
     task = _setup_of(dataclasses.replace(problem, traces=traces), tuple(e for e in catalogue() if e.id in few))
-    thresholds = GainThresholds(MinimumGain(steady_entry={A: 1e5}))
+    thresholds = GainThresholds(MinimumGain(steady_entry={A: 1e5}, level={A: 1e5}))
     assert ids(select(task.bare, Contest(task.contest.hypotheses, thresholds=thresholds), 0.005)) == {"gyro_bias"}
