@@ -36,10 +36,10 @@ _OF_ROTORS: Final = ("k", "c1", "cz", "climb", "wind_north", "wind_east")
 _OF_FORCE: Final = ("c2_x", "c2_y", "ch", "load")
 _OF_TORQUE: Final = ("torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "gain_x",
                      "gain_y", "gain_z")  # fmt: skip
-"""What each step of a prediction depends on beside the step before it and, of thrust, on what each motor has: for all
-other parameters its result is remembered."""
+"""Parameters that change each step of a prediction, beside those of the step before it. Thrust also depends on the
+parameters of each motor. A step is computed again only if one of its parameters changes."""
 _REMEMBERED: Final = 2
-"""Results of a step that are kept: that of the point a derivative is taken at, and the latest beside it."""
+"""Results of a step that are kept: at the point of a derivative, and at the last point beside it."""
 FORCE_ONLY: Final = frozenset(
     {
         "cz",

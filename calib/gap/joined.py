@@ -250,7 +250,8 @@ def _compared(report: GapReport) -> bool:
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
 
-    Noise has no part in a series; it is larger if it gains more than two nats for each number. Drifts are not asked.
+    Noise adds nothing to the model of a series: it is larger if it gains more than two nats a number. Drift noise is
+    never.
     """
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)

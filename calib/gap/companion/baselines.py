@@ -191,8 +191,9 @@ measured: a tenth is small beside the effect itself."""
 class SimulatedBaseline:
     """Effects that a simulated flight shows against its own ideal reading, and the `reference` of that comparison.
 
-    `effects` are expected in another flight too. The flight's `own` ones may be errors of its reference; another flight
-    has others. `uncertain` ones, those that are expected and those that fit noise, measure how far two flights differ.
+    `effects` are expected in another flight too. `own` effects include errors of this flight's reference, which differ
+    from flight to flight. `uncertain` effects, those expected elsewhere and those that fit noise, measure how far two
+    flights differ.
     By sensor: `gains` of the largest of them; `changes` of the ideal reading by all of them, as a sum of squares;
     `movement`, the variance of the ideal reading; `accepted_difference`, the gain below which no effect was searched
     for.

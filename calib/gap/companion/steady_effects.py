@@ -20,7 +20,8 @@ from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains, refitted_without, select, without_effect
+from mavcal.calib.gap.search.selection import ChosenModel, refitted_without, select
+from mavcal.calib.gap.search.terms import marginal_gains, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference
@@ -47,8 +48,8 @@ class SteadyEffect:
 class SteadyEffects:
     """Effects that a flight shows.
 
-    Its `own` ones may be errors of its reference, of which another flight has others; those that are `supported` are
-    expected there too. Those that are `doubted` fit noise.
+    `own` effects are taken off this flight's readings; some may be errors of its reference, which differ from flight to
+    flight. `supported` effects are expected in another flight too. `doubted` effects fit noise.
     """
 
     own: tuple[SteadyEffect, ...] = ()

@@ -24,7 +24,8 @@ from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.search.lattice_effects import Lattice
-from mavcal.calib.gap.search.selection import ChosenModel, marginal_gains
+from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.search.terms import marginal_gains
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.recording import Sensor
 

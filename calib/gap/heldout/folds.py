@@ -34,7 +34,7 @@ from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import prior_sd
-from mavcal.calib.gap.search.selection import locally_fitted, without_effect
+from mavcal.calib.gap.search.terms import locally_fitted, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.heldout.folds import Fold, applied_to, expected_gain
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import NoiseTerm, Setting, Term
-from mavcal.calib.gap.search.selection import ChosenModel, Gains
+from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.search.terms import Gains
 
 Array = NDArray[np.float64]
 

@@ -40,7 +40,8 @@ from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.schema import SequenceStep, Shrink
 from mavcal.calib.gap.search.contest import Contest
-from mavcal.calib.gap.search.selection import ChosenModel, Gains, marginal_gains, select
+from mavcal.calib.gap.search.selection import ChosenModel, select
+from mavcal.calib.gap.search.terms import Gains, marginal_gains
 
 Array = NDArray[np.float64]
 

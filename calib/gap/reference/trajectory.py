@@ -11,13 +11,12 @@ what the unit measured between them, so the normal equations are banded, bordere
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial.transform import Rotation
 
+from mavcal.calib.gap.reference.bordered import BorderedEquations, Rows
 from mavcal.calib.gap.reference.posed import GRAVITY_NED
 from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
 
@@ -244,99 +243,8 @@ def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
     return sd
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Measured less predicted (M, 3) at `node` (M,), which must be sorted; `weight` (M, 3) are inverse variances."""
-
-    node: NDArray[np.intp]
-    residual: Array
-    weight: Array
-
-
-class _NormalEquations:
-    """Banded normal equations with a border: diagonal blocks (n, 12, 12), blocks beside them, border, corner.
-
-    `prior_sd` (44,) of the constants; those that may not differ are left out of what is solved.
-    """
-
-    def __init__(self, n: int, prior_sd: Array) -> None:
-        self.free = np.flatnonzero(prior_sd > _NOTHING)
-        self.diagonal = np.zeros((n, NODE, NODE))
-        self.beside = np.zeros((n - 1, NODE, NODE))
-        self.border = np.zeros((n, NODE, CONSTANTS))
-        self.corner = np.zeros((CONSTANTS, CONSTANTS))
-        self.right = np.zeros((n, NODE))
-        self.right_constants = np.zeros(CONSTANTS)
-        self.cost = 0.0
-        self.velocity_residual = np.zeros((0, 3))
-        self.mag_residual = np.zeros((0, 3))
-
-    def observe(
-        self, rows: _Rows, part: slice, by_part: Array, constants: NDArray[np.intp], by_constant: Array
-    ) -> None:
-        """Rows ``residual = by_part x + by_constant c + noise``, (M, 3).
-
-        They see only `part` of a node's state, three numbers, and the `constants` (p,).
-        """
-        turned = (by_part * rows.weight[:, :, None]).swapaxes(1, 2)
-        firsts = np.flatnonzero(np.diff(rows.node, prepend=-1))
-        seen = rows.node[firsts]
-        self.diagonal[seen, part, part] += np.add.reduceat(turned @ by_part, firsts)
-        self.right[seen, part] += np.add.reduceat((turned @ rows.residual[:, :, None])[:, :, 0], firsts)
-        self.cost += float((rows.weight * rows.residual**2).sum() - np.log(np.maximum(rows.weight, 1e-12)).sum())
-        if len(constants):
-            states = np.arange(part.start, part.stop)
-            self.border[np.ix_(seen, states, constants)] += np.add.reduceat(turned @ by_constant, firsts)
-            self.add_constants(constants, by_constant, rows.residual, rows.weight)
-
-    def add_constants(self, constants: NDArray[np.intp], by_constant: Array, residual: Array, weight: Array) -> None:
-        """Rows ``residual = by_constant c + noise`` (M, r), of the `constants` (p,) alone."""
-        flat = by_constant.reshape(-1, len(constants))
-        rows = (by_constant * weight[:, :, None]).reshape(flat.shape)
-        self.corner[np.ix_(constants, constants)] += rows.T @ flat
-        self.right_constants[constants] += rows.T @ residual.reshape(-1)
-
-    def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
-        """Nodes (n, 12, k) and constants (44, k) for right sides of that shape."""
-        n, border, free = len(self.diagonal), self._free_border, self.free
-        inner = cho_solve_banded((self._factor, True), np.hstack([border, node_right.reshape(n * NODE, -1)]))
-        over, plain = inner[:, : len(free)], inner[:, len(free) :]
-        c = np.zeros_like(constant_right)
-        c[free] = np.linalg.solve(self._free_corner - border.T @ over, constant_right[free] - border.T @ plain)
-        return (plain - over @ c[free]).reshape(n, NODE, -1), c
-
-    @property
-    def log_determinant(self) -> float:
-        """Log of the determinant of the whole matrix, nodes and free constants."""
-        inner = self._free_corner - self._free_border.T @ cho_solve_banded((self._factor, True), self._free_border)
-        return 2.0 * float(np.log(self._factor[0]).sum()) + float(np.linalg.slogdet(inner)[1])
-
-    @property
-    def _free_border(self) -> Array:
-        return self.border.reshape(-1, CONSTANTS)[:, self.free]
-
-    @property
-    def _free_corner(self) -> Array:
-        return self.corner[np.ix_(self.free, self.free)]
-
-    @cached_property
-    def _factor(self) -> Array:
-        """Cholesky factor of the nodes' part; the equations are complete by then."""
-        return np.asarray(cholesky_banded(self._banded(), lower=True))
-
-    def _banded(self) -> Array:
-        n = len(self.diagonal)
-        banded = np.zeros((2 * NODE, n * NODE))
-        for j in range(NODE):
-            for i in range(j, NODE):
-                banded[i - j, j::NODE] = self.diagonal[:, i, j]
-            for i in range(NODE):
-                banded[NODE + i - j, j : (n - 1) * NODE : NODE] = self.beside[:, j, i]
-        return banded
-
-
-def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _NormalEquations:
-    normal = _NormalEquations(len(state.t), sd)
+def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> BorderedEquations:
+    normal = BorderedEquations(len(state.t), NODE, CONSTANTS, np.flatnonzero(sd > _NOTHING))
     between = state.interval_motion(imu)
     _add_inertial(normal, imu, between, state)
     _add_velocity(normal, imu.dt, between, aiding, state)
@@ -360,7 +268,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, s
     return normal
 
 
-def _add_inertial(normal: _NormalEquations, imu: Increments, between: IntervalMotion, state: TrajectoryState) -> None:
+def _add_inertial(normal: BorderedEquations, imu: Increments, between: IntervalMotion, state: TrajectoryState) -> None:
     """Add the dynamics ``x[k+1] = F x[k] + B c + defect + walk``, with the constants c of the inertial unit."""
     dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
@@ -411,20 +319,20 @@ def _by_unit_constants(imu: Increments, between: IntervalMotion, matrix: Array) 
 
 
 def _add_velocity(
-    normal: _NormalEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
+    normal: BorderedEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
 ) -> None:
     node, since = _node_before(aiding.velocity_t - state.constants[LATE_GPS], state.t)
     here = state.attitude[node]
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
     by_velocity = np.broadcast_to(np.eye(3), (len(node), 3, 3))
-    rows = _Rows(node, residual, _weights(residual, state.velocity_sd))
+    rows = Rows(node, residual, _weights(residual, state.velocity_sd))
     normal.observe(rows, _VELOCITY, by_velocity, np.array([LATE_GPS]), -acceleration[:, :, None])
     normal.velocity_residual = residual
 
 
 def _add_field(
-    normal: _NormalEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
+    normal: BorderedEquations, dt: float, between: IntervalMotion, aiding: Aiding, state: TrajectoryState
 ) -> None:
     node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[LATE_MAG], dt, between, state)
     ideal, iron = body_from_ned.apply(state.earth), state.soft_iron
@@ -439,13 +347,13 @@ def _add_field(
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), SOFT_IRON.start + 3):
         by_constant[:, i, k], by_constant[:, j, k] = ideal[:, j], ideal[:, i]
     constants = normal.free[normal.free < SOFT_IRON.stop]
-    rows = _Rows(node, residual, _weights(residual, np.full(3, state.mag_sd)))
+    rows = Rows(node, residual, _weights(residual, np.full(3, state.mag_sd)))
     normal.observe(rows, _ATTITUDE, iron @ _cross(ideal), constants, by_constant[:, :, constants])
     normal.mag_residual = residual
 
 
 def _add_truth(
-    normal: _NormalEquations,
+    normal: BorderedEquations,
     dt: float,
     between: IntervalMotion,
     truth_t: Array,
@@ -455,7 +363,7 @@ def _add_truth(
     node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
     by_attitude, none = np.broadcast_to(np.eye(3), (len(node), 3, 3)), np.zeros(0, np.intp)
-    rows = _Rows(node, residual, _weights(residual, np.full(3, TRUTH_SD)))
+    rows = Rows(node, residual, _weights(residual, np.full(3, TRUTH_SD)))
     normal.observe(rows, _ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)))
 
 
@@ -479,7 +387,7 @@ def _weights(residual: Array, sd: Array) -> Array:
     return np.asarray(np.minimum(1.0, _HUBER * sd / np.maximum(np.abs(residual), 1e-12)) / sd**2)
 
 
-def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[TrajectoryState, float]:
+def _updated(state: TrajectoryState, normal: BorderedEquations) -> tuple[TrajectoryState, float]:
     """The state after the step, with re-estimated noise of the aiding, and the largest change of attitude, rad."""
     nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
     step = nodes[:, :, 0]
@@ -497,7 +405,7 @@ def _updated(state: TrajectoryState, normal: _NormalEquations) -> tuple[Trajecto
     return new, float(np.abs(step[:, :3]).max())
 
 
-def _standard_deviations(normal: _NormalEquations) -> tuple[float, Array]:
+def _standard_deviations(normal: BorderedEquations) -> tuple[float, Array]:
     """Standard deviations of roll, pitch and yaw, rad, as a median over nodes, and of the constants (44,)."""
     n, free = len(normal.diagonal), normal.free
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)

@@ -27,14 +27,11 @@ from mavcal.calib.gap.search.selection import (
     ChosenModel,
     extended,
     has_learned_spectrum,
-    jointly_fitted,
     largest_gain,
     objective,
     select,
-    with_score,
-    with_term_in_residual,
-    without_effect,
 )
+from mavcal.calib.gap.search.terms import jointly_fitted, with_score, with_term_in_residual, without_effect
 from mavcal.calib.recording import Sensor
 
 

@@ -6,7 +6,7 @@ After every step all parameters and the noise are fitted again, and effects that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,8 +20,6 @@ from mavcal.calib.gap.model.joint import (
     Model,
     NoiseTerm,
     Term,
-    jacobian,
-    normal_equations,
     with_noise,
     with_residual,
 )
@@ -30,22 +28,24 @@ from mavcal.calib.gap.model.noise_fit import (
     is_declared,
     noise_fitted,
     starting_noise,
-    with_term,
-    without_term,
 )
-from mavcal.calib.gap.model.normal_equations import solved
-from mavcal.calib.gap.model.refinement import coupled_sensors, coupled_terms, refined
+from mavcal.calib.gap.model.refinement import coupled_sensors
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.added_noise import is_line_unsteadiness
 from mavcal.calib.gap.search.contest import Contest, ContestScore
-from mavcal.calib.gap.search.projection import Projection, independent_directions
+from mavcal.calib.gap.search.projection import Projection
+from mavcal.calib.gap.search.terms import (
+    Gains,
+    hypothesis_of,
+    jointly_fitted,
+    locally_fitted,
+    marginal_gains,
+    with_score,
+    without_effect,
+)
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
-
-
-Gains = Mapping[Key, tuple[float, int, int]]
-"""By effect: gain beside all others, degrees of freedom, size of the grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,26 +69,6 @@ def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
     return max((gain for gain, _, _ in marginal_gains(chosen.model, contest).values()), default=0.0)
 
 
-def jointly_fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
-    """Mean and noise of a model fitted in turn."""
-    model, _ = refined(model)
-    noise = noise_fitted(model)
-    model, joint = refined(noise.model)
-    return model, joint, replace(noise, model=model)
-
-
-def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
-    """The same for the sensors that `hypothesis` acts on and those coupled with them.
-
-    With `hold` shapes stay where they are, which takes a fraction of the time.
-    """
-    own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
-    near = coupled_sensors(model, own)
-    members = coupled_terms(model, near)
-    noise = noise_fitted(refined(model, members, hold=hold)[0], sorted(near))
-    return refined(noise.model, members, hold=hold)[0]
-
-
 def select(start: Model, contest: Contest, alpha: float, earlier: ChosenModel | None = None) -> ChosenModel:
     """The effects that the data show.
 
@@ -104,7 +84,7 @@ def select(start: Model, contest: Contest, alpha: float, earlier: ChosenModel | 
     alpha
         Chance that any of the tests fires without a gap.
     earlier
-        Of another contest; from the same start its first scores hold here too.
+        A selection from another contest. If its start is the same model, its first scores are used again.
     """
     candidates = contest.hypotheses
     steady = [h for h in candidates if not h.effect.drifts]
@@ -149,7 +129,7 @@ def _with_white_noise(model: Model) -> Model:
 def _better_by_sensor(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
     """`other` if its objective is materially better: by sensor, unless shared effects or the reference tie them.
 
-    Drift noise in the place of an effect on the mean also has to gain beyond it what drift noise has to gain by itself.
+    Drift noise replaces an effect on the mean only if it gains more, by at least what drift noise needs to enter.
     """
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
         worth = max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), _entry_of_drifts(other, contest))
@@ -224,7 +204,7 @@ def extended(
 ) -> ChosenModel:
     """The model with every further effect that is significant at `level` a test and worth its price.
 
-    Those of `later` compete once nothing of `candidates` is left that is; None: the whole contest.
+    `candidates` compete first (None: the whole contest), and those of `later` once no other candidate qualifies.
     """
     candidates = contest.hypotheses if candidates is None else candidates
     model, joined = chosen.model, list(chosen.scores)
@@ -258,14 +238,6 @@ def extended(
     model, joined = _without_second_order(model, joined, gains)
     model, joint, noise = jointly_fitted(model)
     return replace(chosen, model=model, joint=joint, noise=noise, scores=tuple(joined))
-
-
-def with_score(model: Model, score: ContestScore) -> Model:
-    """The model with the hypothesis of a score."""
-    if isinstance(score.hypothesis.effect, NoiseEffect):
-        return with_term(model, NoiseTerm(score.hypothesis, score.theta))
-    term = Term(score.hypothesis, score.beta, score.theta)
-    return with_residual(replace(model, terms=(*model.terms, term)))
 
 
 def _candidate_scores(
@@ -419,7 +391,7 @@ def pruned(
         if not weak or len(joined) < 2:
             return model, joined, gains
         key = max(weak, key=lambda pair: pair[1])[0]
-        gone = _hypothesis_of(model, key)
+        gone = hypothesis_of(model, key)
         joined = [s for s in joined if s.hypothesis.key != key]
         model = locally_fitted(without_effect(model, key), gone)
 
@@ -434,78 +406,13 @@ def refitted_without(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
     return replace(chosen, model=model, joint=joint, noise=noise, scores=left)
 
 
-def without_effect(model: Model, key: Key) -> Model:
-    """The model without the term of that key, not fitted again."""
-    for term in model.noise_terms:
-        if term.hypothesis.key == key:
-            return without_term(model, term)
-    left = tuple(t for t in model.terms if t.hypothesis.key != key)
-    return with_residual(replace(model, terms=left))
-
-
-def marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """By term, its gain beside all others, degrees of freedom, and size of the grid."""
-    found = _mean_marginal_gains(model, contest)
-    full: dict[Sensor, float] = {}
-    for noise in model.noise_terms:
-        sensor = noise.hypothesis.effect.sensor
-        bare = noise_fitted(without_term(model, noise), [sensor])
-        if sensor not in full:
-            full[sensor] = sum(noise_fitted(model, [sensor]).deviance.values())
-        gain = sum(bare.deviance.values()) - full[sensor]
-        found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
-    return found
-
-
-def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """Marginal gains of the terms on the mean, from one set of normal equations.
-
-    A term is added back to the residual and fitted by its own columns, beside everything that the others estimate.
-    """
-    if not model.terms:
-        return {}
-    own = [contest.columns.of(term.hypothesis, term.theta, model.setting) for term in model.terms]
-    others = [jacobian(term, model.setting) for term in model.terms]
-    normal = normal_equations([*own, *others], model.y, model.weight, model.ridge)
-    count, size = len(own), len(normal.right)
-    found = {}
-    for i, term in enumerate(model.terms):
-        mine = normal.slices[i]
-        start = normal.slices[count].start
-        own_rows = normal.slices[count + i]
-        beside = np.array([*range(start, own_rows.start), *range(own_rows.stop, size)], np.intp)
-        values = np.ones(1) if term.effect.fixed else term.beta
-        right = normal.right + normal.gram[:, mine] @ values
-        cross = normal.gram[mine][:, beside]
-        held, covariance, _ = solved(normal.gram[beside[:, None], beside], right[beside])
-        gram = normal.gram[mine, mine] - cross @ covariance @ cross.T
-        left = right[mine] - cross @ held
-        if term.effect.fixed:
-            found[term.hypothesis.key] = (max(float(2.0 * left[0] - gram[0, 0]), 0.0), 1, 1)
-        else:
-            basis = independent_directions(gram, np.diag(normal.gram)[mine])
-            found[term.hypothesis.key] = (float(((basis.T @ left) ** 2).sum()), basis.shape[1], 1)
-    return found
-
-
-def with_term_in_residual(model: Model, i: int) -> Model:
-    """The model with the contribution of term `i` added back to the residual; the term stays listed."""
-    others = replace(model, terms=tuple(t for j, t in enumerate(model.terms) if j != i))
-    back = with_residual(others)
-    return replace(model, residual=back.residual, y=back.y)
-
-
 def _without_second_order(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
     small = [
-        k for k, (gain, _, _) in gains.items() if gain < _second_order_limit(_hypothesis_of(model, k), model, gains)
+        k for k, (gain, _, _) in gains.items() if gain < _second_order_limit(hypothesis_of(model, k), model, gains)
     ]
     for key in small:
         model = without_effect(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]
-
-
-def _hypothesis_of(model: Model, key: Key) -> Hypothesis:
-    return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
 
 
 def objective(chosen: ChosenModel) -> float:

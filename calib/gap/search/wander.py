@@ -28,14 +28,8 @@ from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, tail_probability
 from mavcal.calib.gap.search.evidence import price_of_kind
-from mavcal.calib.gap.search.selection import (
-    ChosenModel,
-    largest_gain,
-    objective,
-    select,
-    total_price,
-    without_effect,
-)
+from mavcal.calib.gap.search.selection import ChosenModel, largest_gain, objective, select, total_price
+from mavcal.calib.gap.search.terms import without_effect
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

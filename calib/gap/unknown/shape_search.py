@@ -21,16 +21,8 @@ from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, free_score
 from mavcal.calib.gap.search.evidence import evidence, price_of_kind
 from mavcal.calib.gap.search.projection import Gain, Projection, independent_directions
-from mavcal.calib.gap.search.selection import (
-    ChosenModel,
-    extended,
-    largest_gain,
-    locally_fitted,
-    objective,
-    select,
-    total_price,
-    without_effect,
-)
+from mavcal.calib.gap.search.selection import ChosenModel, extended, largest_gain, objective, select, total_price
+from mavcal.calib.gap.search.terms import locally_fitted, without_effect
 from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, is_broken_line, shapes_of
 
 Array = NDArray[np.float64]
@@ -100,8 +92,8 @@ def with_shapes(
     if strong:
         level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
         everything = contest.restricted_to((*contest.hypotheses, *likely.values()))
-        anew = select(start, rivals, level, chosen)
-        other = min((anew, extended(chosen, everything, alpha / tests)), key=objective)
+        again = select(start, rivals, level, earlier=chosen)
+        other = min((again, extended(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
             return ShapeSearch(other, rivals)
     return ShapeSearch(chosen, rivals)

@@ -23,7 +23,7 @@ from mavcal.calib.gap.search.exchange import (
     flexibility_of,
     second_order_evidence,
 )
-from mavcal.calib.gap.search.selection import marginal_gains
+from mavcal.calib.gap.search.terms import marginal_gains
 
 _SECOND_ORDER_SCALE = 8.0
 """By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability.

@@ -18,7 +18,8 @@ from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.exchange import stable_model
-from mavcal.calib.gap.search.selection import marginal_gains, select
+from mavcal.calib.gap.search.selection import select
+from mavcal.calib.gap.search.terms import marginal_gains
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
 from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor

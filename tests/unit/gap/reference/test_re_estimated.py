@@ -14,6 +14,7 @@ from mavcal.calib import logs
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.bordered import BorderedEquations
 from mavcal.calib.gap.reference.re_estimated import _FOLLOWED_HZ, STEP_S, _median_instance, best_trajectory
 from mavcal.calib.gap.reference.signals import Signal
 from mavcal.calib.gap.reference.strapdown import WARMTH_UNIT, Increments
@@ -24,7 +25,6 @@ from mavcal.calib.gap.reference.trajectory import (
     GYRO_DRIFT,
     NODE,
     WALK,
-    _NormalEquations,
 )
 from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
@@ -208,7 +208,7 @@ def test_the_determinant_is_that_of_the_whole_matrix():
         for j in range(n):
             if abs(i - j) > 1:
                 whole[i * NODE : (i + 1) * NODE, j * NODE : (j + 1) * NODE] = 0.0
-    normal = _NormalEquations(n, np.ones(CONSTANTS))
+    normal = BorderedEquations(n, NODE, CONSTANTS, np.arange(CONSTANTS))
     for i in range(n):
         own = slice(i * NODE, (i + 1) * NODE)
         normal.diagonal[i], normal.border[i] = whole[own, own], whole[own, n * NODE :]

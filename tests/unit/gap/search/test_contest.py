@@ -29,7 +29,8 @@ from mavcal.calib.gap.search.contest import (
 )
 from mavcal.calib.gap.search.power import noncentrality
 from mavcal.calib.gap.search.projection import Gain, Projection
-from mavcal.calib.gap.search.selection import ChosenModel, extended, jointly_fitted, with_score
+from mavcal.calib.gap.search.selection import ChosenModel, extended
+from mavcal.calib.gap.search.terms import jointly_fitted, with_score
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 

@@ -31,8 +31,8 @@ from mavcal.calib.gap.search.selection import (
     extended,
     objective,
     select,
-    without_effect,
 )
+from mavcal.calib.gap.search.terms import without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.worth.attribution import attributions
 from mavcal.calib.recording import Sensor

@@ -17,7 +17,7 @@ from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.projection import Projection
-from mavcal.calib.gap.search.selection import with_score
+from mavcal.calib.gap.search.terms import with_score
 from mavcal.calib.gap.unknown.shapes import shapes_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
