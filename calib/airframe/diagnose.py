@@ -17,7 +17,7 @@ from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import Densities, Density, densities, density_of
 from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightLikelihood, expanded
-from mavcal.calib.airframe.flown import FlownFlight, Unflown, flown, needed_log
+from mavcal.calib.airframe.flown import EstimatorError, FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
 from mavcal.calib.airframe.geometry import geometry_of
 from mavcal.calib.airframe.ground import ID as GROUND
@@ -74,6 +74,7 @@ def airframe_gap(
     without: Collection[str] = (),
     frame: str | None = None,
     ended: Callable[[], bool] = lambda: False,
+    estimator: Callable[[Recording], EstimatorError | None] = lambda _: None,
 ) -> AirframeAnswer | NoAirframe:
     """What the real vehicle's airframe, actuators and air have beside the simulated ones.
 
@@ -87,10 +88,12 @@ def airframe_gap(
         A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
     ended
         Whether time is up: the best answer so far is given.
+    estimator
+        How far a recording's own velocity and attitude are off; None where nothing better is known.
     """
     made = []
     for which, recording in (("real", real), ("simulated", sim)):
-        one = _ready(recording, frame)
+        one = _ready(recording, frame, estimator(recording))
         if isinstance(one, NoAirframe):
             return replace(one, reason=f"{which} recording: {one.reason}")
         made.append(one)
@@ -101,12 +104,15 @@ def airframe_gap(
     return _diagnosed(ours, theirs, frozenset(without), ended)
 
 
-def airframe_alone(real: Recording, *, frame: str | None = None) -> AirframePart | NoAirframe:
+def airframe_alone(
+    real: Recording, *, frame: str | None = None, estimator: EstimatorError | None = None
+) -> AirframePart | NoAirframe:
     """What one flight says of its airframe without a simulator: its numbers, and how far they predict it.
 
     Before: thrust that balances gravity at the hover's command, and nothing else. Errors are of held-out stretches.
+    `estimator`: how far the recording's own velocity and attitude are off, where that is known.
     """
-    one = _ready(real, frame)
+    one = _ready(real, frame, estimator)
     if isinstance(one, NoAirframe):
         return one
     torque = min(one.flight.command_hz, one.flight.inertial_hz) >= TORQUE_HZ
@@ -130,7 +136,7 @@ def _commands(flight: FlownFlight) -> Commands:
     return Commands(told.source, round(told.rate_hz, 1), told.check_us, float(flight.limited.mean()))
 
 
-def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
+def _ready(recording: Recording, frame: str | None, estimator: EstimatorError | None) -> _Flight | NoAirframe:
     parameters = {name: float(value) for name, value in recording.parameters.final().items()}
     geometry = geometry_of(parameters, frame)
     if geometry is None:
@@ -148,6 +154,7 @@ def _ready(recording: Recording, frame: str | None) -> _Flight | NoAirframe:
     jumped = jumps(found, probe.body_from_local)
     wrong = glitches(recording, float(found.t[0]), float(found.t[-1]))
     kept = replace(found, usable=found.usable & outside(found, jumped) & outside(found, wrong, GLITCHED_S))
+    kept = kept if estimator is None else estimator.taken_off(kept)
     if kept.usable.mean() < 0.5:
         return NoAirframe(f"only {100 * kept.usable.mean():.0f} % of the flight can be judged", needed_log(recording))
     air = density_of(recording, float(kept.t[0]), float(kept.t[-1]))

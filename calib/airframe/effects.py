@@ -70,7 +70,7 @@ class AirframeEffect:
     """The parameter in the real and in the simulated flight, where the logs state it."""
 
 
-FORMS: Final[Mapping[str, str]] = {"thrust_scale": "thrust", "thrust_by_mass": "mass"}
+FORMS: Final[Mapping[str, str]] = {"thrust_scale": "thrust", "thrust_by_lift": "lift", "thrust_by_mass": "mass"}
 """Block to cause, for an effect whose causes a report distinguishes."""
 ODDS: Final = 0.05
 """Of each effect before a flight is seen. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of
@@ -113,6 +113,12 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
+    # SIH_T_MAX and a worn propeller: another lift, and the rotors turn the vehicle about z as before
+    lift = tuple(Change(0, n, relative) for n in ("k", "gain_x", "gain_y"))
+    yield AirframeEffect(
+        "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
+        torque=True,
+    )  # fmt: skip
     # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
     shares = (("c1", 0.5), ("cz", 0.5), *((n, 1.0) for n in BODY_DRAG), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
     forces = (Change(0, n, relative, share) for n, share in shares)

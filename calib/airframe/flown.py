@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.fft import prev_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
+from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.airframe.answer import Geometry
@@ -110,6 +111,25 @@ class FlownFlight:
         return STANDARD_GRAVITY
 
 
+@dataclass(frozen=True, eq=False)
+class EstimatorError:
+    """By how much the vehicle's estimator was off at `t` (K,).
+
+    `velocity` (K, 3) is its excess, m/s, north, east, down; `turn` (K, 3) is the rotation, rad, from the true attitude
+    to its own, in the same axes.
+    """
+
+    t: Array
+    velocity: Array
+    turn: Array
+
+    def taken_off(self, flight: FlownFlight) -> FlownFlight:
+        """The flight without it."""
+        off, turn = (np.column_stack([np.interp(flight.t, self.t, x) for x in e.T]) for e in (self.velocity, self.turn))
+        right = Rotation.from_rotvec(-turn) * Rotation.from_quat(flight.q[:, [1, 2, 3, 0]])
+        return replace(flight, velocity=flight.velocity - off, q=right.as_quat()[:, [3, 0, 1, 2]])
+
+
 @dataclass(frozen=True)
 class Unflown:
     """Why a recording says nothing of the airframe, and what would be needed."""
@@ -140,7 +160,7 @@ def flown(
     """The airborne span of a recording on one grid, or why there is none; `from_ground`: with take-off and landing."""
     need = needed_log(recording)
     inertial = _inertial(recording, commands)
-    velocity, attitude = _state(recording, Sensor.VELOCITY), _state(recording, Sensor.ATTITUDE)
+    velocity, attitude = state_of(recording, Sensor.VELOCITY), state_of(recording, Sensor.ATTITUDE)
     if inertial is None:
         return Unflown("no accelerometer and gyroscope of one unit at 20 Hz or more", need)
     if velocity is None or attitude is None:
@@ -223,7 +243,7 @@ def _rate(channel: Channel) -> float:
     return 1.0 / step if step > 0.0 else 0.0
 
 
-def _state(recording: Recording, sensor: Sensor) -> Channel | None:
+def state_of(recording: Recording, sensor: Sensor) -> Channel | None:
     """The estimator's own series; where it was not logged, that of the GPS or of the attitude message."""
     own = [c for c in recording.dynamics if c.sensor == sensor]
     every = own or [c for c in recording.channels if c.sensor == sensor]

@@ -25,6 +25,7 @@ from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.joined import joined
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage, unsearched
+from mavcal.calib.gap.reference.estimator import estimator_error
 from mavcal.calib.gap.remembered import one_diagnosis
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.gap.witness import of_no_sensor
@@ -100,7 +101,7 @@ def run(
     flown = None
     if sim is not None and _is_flight(real) and _is_flight(sim):
         pace.begin(GapStage.AIRFRAME)
-        flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends)
+        flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends, estimator=estimator_error)
     pace.begin(GapStage.REFERENCE)
     digests = dict(inputs or {})
     try:
@@ -112,11 +113,14 @@ def run(
     if flown is not None and sim is not None:
         sensors, report = report, joined(report, flown, real, sim)
         if isinstance(flown, AirframeAnswer) and (right := without_matrix_errors(real, report)) is not None:
-            flown = airframe_gap(right, sim, without=without, frame=frame)  # a search cut short would take names away
+            # a search cut short would take names away
+            flown = airframe_gap(right, sim, without=without, frame=frame, estimator=estimator_error)
             report = joined(sensors, flown, real, sim)
         report = unsearched(report, pace)
-    elif sim is None and _is_flight(real) and isinstance(alone := airframe_alone(real, frame=frame), AirframePart):
-        report = dataclasses.replace(report, airframe=alone)
+    elif sim is None and _is_flight(real):
+        alone = airframe_alone(real, frame=frame, estimator=estimator_error(real))
+        if isinstance(alone, AirframePart):
+            report = dataclasses.replace(report, airframe=alone)
     base, vehicle = simulator_of(real, sim), real.parameters.final()
     return with_patches(report, base, frame=sim_frame, mass=mass, vehicle=vehicle)
 

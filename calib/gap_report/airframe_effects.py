@@ -126,12 +126,13 @@ def _thrust(p: _Params, effect: EffectEstimate) -> str:
     said = f"the real vehicle has {times(p['s'], 'the thrust for its mass')}"
     if not effect.forms:
         return said
-    cause, chance = max(effect.forms.items(), key=lambda form: form[1])
-    if chance < _DECIDED:
-        return f"{said}; the flight does not tell thrust from mass ({_PER_CENT * effect.forms['mass']:.0f} % mass)"
+    mass, lift = (effect.forms.get(cause, 0.0) for cause in ("mass", "lift"))
+    if 1.0 - _DECIDED < mass < _DECIDED:
+        return f"{said}; the flight does not tell thrust from mass ({_PER_CENT * mass:.0f} % mass)"
     heavier = f"its mass differs, it is {1.0 / ratio_of(p['s'])[0]:.2f} times as heavy"
-    which = heavier if cause == "mass" else "its thrust differs"
-    return f"{said}; of the two, {which} ({_PER_CENT * chance:.0f} %)"
+    which = heavier if mass >= _DECIDED else "its thrust differs"
+    told = f"{said}; of the two, {which} ({_PER_CENT * max(mass, 1.0 - mass):.0f} %)"
+    return f"{told}, and the yaw torque of its rotors does not" if lift >= _DECIDED else told
 
 
 def _expo(p: _Params, _: EffectEstimate) -> str:

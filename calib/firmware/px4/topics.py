@@ -58,6 +58,7 @@ WANTED: Final = frozenset(
     | {
         "vehicle_angular_velocity",
         "vehicle_acceleration",
+        "estimator_sensor_bias",
         "vehicle_torque_setpoint",
         "distance_sensor",
         "vehicle_air_data",

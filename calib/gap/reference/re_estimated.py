@@ -115,32 +115,67 @@ def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | N
     return None if found is None else _ideal_along(found)
 
 
-def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
-    """The smoothed trajectory with the best-fitting inertial unit and magnetometer; None without one."""
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What a trajectory is made of: nodes, aiding, compass, and accelerometer and gyroscope by unit."""
+
+    t: Array
+    aiding: Aiding
+    compass: Channel | None
+    units: Mapping[int, tuple[Channel, Channel]]
+
+    def guess(self, recording: Recording) -> Rotation:
+        """Initial attitudes at the nodes."""
+        accel, gyro = next(iter(self.units.values()))
+        return _initial_attitude(recording, gyro, accel, self.aiding, self.t)
+
+
+def _given(recording: Recording) -> _Given | None:
+    """None without GPS velocity and an inertial unit over the same ten seconds."""
     channels = sensors_of(recording)
     velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
     gyros, accels, mags = (
         {c.instance: c for c in channels if c.sensor == s} for s in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG)
     )
-    units = sorted(set(gyros) & set(accels))
+    units = {unit: (accels[unit], gyros[unit]) for unit in sorted(set(gyros) & set(accels))}
     if velocity is None or len(velocity.t) < _FEWEST_GPS or not units:
         return None
-    start, end = _span([gyros[units[0]], accels[units[0]]], velocity)
+    start, end = _span(next(iter(units.values())), velocity)
     if not _SHORTEST_S <= end - start <= _LONGEST_S:
         return None
     t: Array = start + STEP_S * np.arange(int((end - start) / STEP_S) + 1, dtype=np.float64)
     compass = mags.get(_median_instance(mags)) if mags else None
-    aiding = _aiding(recording, velocity, compass, t)
+    return _Given(t, _aiding(recording, velocity, compass, t), compass, units)
+
+
+def plain_trajectory(recording: Recording) -> TrajectoryState | None:
+    """The smoothed trajectory of the first unit, whose calibration is believed but for biases; None without one."""
+    given = _given(recording)
+    if given is None:
+        return None
+    accel, gyro = (Signal.of(c) for c in next(iter(given.units.values())))
+    if accel is None or gyro is None:
+        return None
+    start = initial_state(given.t, given.guess(recording), given.aiding)
+    return smooth(Increments.of(gyro, accel, given.t), given.aiding, start)
+
+
+def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
+    """The smoothed trajectory with the best-fitting inertial unit and magnetometer; None without one."""
+    given = _given(recording)
+    if given is None:
+        return None
+    t, aiding, compass, units = given.t, given.aiding, given.compass, given.units
     truth = true_attitude(recording) if with_truth else None
     if truth is not None:
         seen = truth.known(truth.t) & (truth.t >= t[0]) & (truth.t <= t[-1])
         aiding = dataclasses.replace(aiding, truth_t=truth.t[seen], truth=rotation(truth.values[seen]))
-    guess = _initial_attitude(recording, gyros[units[0]], accels[units[0]], aiding, t)
+    guess = given.guess(recording)
     made = []
-    for unit in units:
-        gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
+    for unit, (accels, gyros) in units.items():
+        gyro, accel = Signal.of(gyros), Signal.of(accels)
         if gyro is not None and accel is not None:
-            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros[unit], accels[unit]))
+            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros, accels))
             warmth = slow_values(recording.find(Sensor.TEMPERATURE, unit), t)
             temperature = None if warmth is None else warmth[:, 0]
             imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)
@@ -151,7 +186,7 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
     if best is None:
         return None
     close = [m for m in made if m.state.cost < best.state.cost + _CLOSE]
-    return _with_unit_errors(_unit_without_delay(best, close, gyros), aiding)
+    return _with_unit_errors(_unit_without_delay(best, close, {u: gyro for u, (_, gyro) in units.items()}), aiding)
 
 
 def _unit_without_delay(
@@ -217,7 +252,7 @@ def _with_bias_walk(
     return smooth(imu, aiding, freed, matrices=matrices, drifts=drifts) if strained.any() else best
 
 
-def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
+def _span(channels: Sequence[Channel], velocity: Signal) -> tuple[float, float]:
     starts = [float(c.t[0]) for c in channels] + [float(velocity.t[0]) - 1.0]
     ends = [float(c.t[-1]) for c in channels] + [float(velocity.t[-1]) + 1.0]
     return max(starts), min(ends)

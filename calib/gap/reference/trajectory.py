@@ -140,6 +140,11 @@ class TrajectoryState:
         return self.constants[EARTH]
 
     @property
+    def late_gps(self) -> float:
+        """Delay of the GPS, s."""
+        return float(self.constants[LATE_GPS])
+
+    @property
     def soft_iron(self) -> Array:
         """Soft-iron matrix of the magnetometer, (3, 3)."""
         xx, yy, zz, xy, xz, yz = self.constants[SOFT_IRON]

@@ -78,7 +78,8 @@ def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
             reader.added("torque_bias", "y"),
             reader.added("torque_bias", "z"),
         ),
-        yaw=reader.ratio("yaw_coefficient", "s"),
+        # a lift by itself leaves the torque about z as it was
+        yaw=reader.ratio("yaw_coefficient", "s") / (thrust if reader.likeliest("thrust_scale") == "lift" else 1.0),
         damping=(reader.damping("x"), reader.damping("y"), reader.damping("z")),
         sag=reader.ratio("battery_sag", "s") if reader.has("battery_sag", "s") else None,
         sags=reader.effect("battery_sag") is not None,
@@ -120,6 +121,11 @@ class _Reader:
 
     def damping(self, axis: str) -> float | None:
         return self.ratio("angular_damping", axis) if self.has("angular_damping", axis) else None
+
+    def likeliest(self, effect_id: str) -> str:
+        """The likeliest cause of an effect; empty without the effect, or for one with a single cause."""
+        effect = self.effect(effect_id)
+        return "" if effect is None or not effect.forms else max(effect.forms, key=lambda cause: effect.forms[cause])
 
     @property
     def by_mass(self) -> bool:

@@ -1,0 +1,78 @@
+"""By how much the vehicle's own estimator was off: its velocity and attitude beside the smoothed trajectory.
+
+An estimator on board knows only the past, and one that is tuned for a quieter sensor follows the noise. Its controller
+answers these errors, so that they look like drag and like another thrust curve. The smoother knows the whole flight.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from mavcal.calib.airframe.flown import EstimatorError, state_of
+from mavcal.calib.gap.reference.ideal import continuous
+from mavcal.calib.gap.reference.posed import rotation
+from mavcal.calib.gap.reference.re_estimated import plain_trajectory
+from mavcal.calib.gap.reference.signals import interpolated
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+
+Array = NDArray[np.float64]
+
+_OFF: Final = 0.1
+"""m/s that the velocity of an estimator differs from the GPS's for seconds, from which on it is looked at. Measured:
+0.02 to 0.04 in flights of ArduPilot's simulator, 0.05 in slow flights of PX4's SIH, 0.16 to 0.3 in lively ones."""
+_CLOSER: Final = 0.5
+"""Part of that difference at most that a better velocity has. Chosen, not measured: both follow the same GPS."""
+_SLOW_S: Final = 1.0
+"""Seconds over which a difference is averaged, so that the GPS's noise averages out. Source: its noise of SIH is 0.16
+m/s along the vertical, at 8 Hz."""
+_SLOWER_HZ: Final = 20.0
+"""Rate that an inertial unit needs. Source: half of it bounds the turns that can be integrated."""
+
+
+def estimator_error(recording: Recording) -> EstimatorError | None:
+    """How far velocity and attitude of the vehicle's estimator are off; None where nothing better is known."""
+    velocity, attitude = (state_of(recording, s) for s in (Sensor.VELOCITY, Sensor.ATTITUDE))
+    gps = next(iter(recording.find(Sensor.VELOCITY)), None)
+    unit = _fastest_unit(recording)
+    if gps is None or velocity is None or attitude is None or unit is None:
+        return None
+    rest = (c for c in recording.channels if c.sensor not in (Sensor.ACCEL, Sensor.GYRO))
+    found = plain_trajectory(recording.with_channels((*unit, *rest)))
+    if found is None:
+        return None
+    t, late = found.t, found.late_gps
+    told = interpolated(velocity.t, velocity.values, t)
+    before, after = (_slow_difference(gps, t, v, late) for v in (told, found.velocity))
+    if before < _OFF or after > _CLOSER * before:
+        return None
+    turn = found.attitude * rotation(interpolated(attitude.t, continuous(attitude.values), t)).inv()
+    return EstimatorError(t, told - found.velocity, -turn.as_rotvec())
+
+
+def _fastest_unit(recording: Recording) -> tuple[Channel, Channel] | None:
+    """Accelerometer and gyroscope of the fastest unit, filtered streams included."""
+    streams = [c for c in (*recording.channels, *recording.dynamics) if c.stage != Stage.RAW and len(c) > 1]
+    found = []
+    for unit in sorted({c.instance for c in streams if c.sensor is Sensor.ACCEL}):
+        own = [[c for c in streams if c.sensor is s and c.instance == unit] for s in (Sensor.ACCEL, Sensor.GYRO)]
+        if all(own):
+            accel, gyro = (max(o, key=_rate) for o in own)
+            found.append((min(_rate(accel), _rate(gyro)), accel, gyro))
+    best = max(found, key=lambda f: f[0], default=None)
+    return None if best is None or best[0] < _SLOWER_HZ else (best[1], best[2])
+
+
+def _rate(channel: Channel) -> float:
+    return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
+
+
+def _slow_difference(gps: Channel, t: Array, velocity: Array, late: float) -> float:
+    """Robust rms of GPS less `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, of the horizontal axes."""
+    seen = (gps.t - late > t[0]) & (gps.t - late < t[-1])
+    apart = gps.values[seen, :2] - interpolated(t, velocity[:, :2], gps.t[seen] - late)
+    slow = uniform_filter1d(apart, max(1, round(_SLOW_S * _rate(gps))), axis=0)
+    return float(1.4826 * np.median(np.abs(slow)))
