@@ -211,7 +211,7 @@ class FlightLikelihood:
         self._measured = np.hstack(airframe.measured)
         if torque:
             fast = (hz >= SLOW_HZ) & (hz <= self._highest(Sensor.GYRO))
-            self._views += [_View(k, 2, np.flatnonzero(fast & (hz <= self._heard(k)))) for k in range(3, 6)]
+            self._views += [_View(k, 2, np.flatnonzero(fast & (hz <= self.heard(k)))) for k in range(3, 6)]
             self._views += [_View(k, 0, np.flatnonzero(hz < SLOW_HZ)) for k in range(3, 6)]
 
     def _highest(self, sensor: Sensor) -> float:
@@ -221,11 +221,11 @@ class FlightLikelihood:
         band = FORCE_BAND_HZ if sensor is Sensor.ACCEL else TORQUE_BAND_HZ
         return min(band, corner or band, 0.45 * flight.inertial_hz, 0.45 * flight.command_hz)
 
-    def _heard(self, column: int) -> float:
+    def heard(self, column: int) -> float:
         """Frequency up to which the whole flight's turns stand out of the gyroscope's noise, Hz."""
         turns = excited(self.airframe.flight)[0] & self.airframe.flight.usable
         power = dct(self._measured[:, column] * turns, norm="ortho") ** 2
-        noise = self._gyro_noise[column - 3] * turns.mean() * self._of_white
+        noise = self.gyro_noise[column - 3] * turns.mean() * self._of_white
         loud = self._hz[(_smooth(power) > _HEARD * noise) & (self._hz <= TORQUE_BAND_HZ)]
         return max(float(loud.max(initial=0.0)), _HEARD_HZ)
 
@@ -289,7 +289,7 @@ class FlightLikelihood:
         one = self._views[view]
         if one.column < 3:
             return _beyond_noise(residual, self._hz[one.picked], below_hz)
-        noise = self._gyro_noise[one.column - 3] * self._rows[one.rows].mean() * self._of_white[one.picked]
+        noise = self.gyro_noise[one.column - 3] * self._rows[one.rows].mean() * self._of_white[one.picked]
         beyond = np.array(
             [b.sum() for b in np.split(residual**2 - noise, np.searchsorted(self._hz[one.picked], _OCTAVES))]
         )
@@ -304,7 +304,7 @@ class FlightLikelihood:
         return np.asarray((2.0 * np.pi * self._hz) ** 2 * passed * kept_power(self._hz, flight.inertial_hz, flight.fs))
 
     @cached_property
-    def _gyro_noise(self) -> Array:
+    def gyro_noise(self) -> Array:
         """Power (3,) of the gyroscopes' white noise, by the quietest band above the judged ones; 0 without one."""
         highest = min(0.45 * self.airframe.flight.inertial_hz, _NOISE_HZ)
         edges = np.searchsorted(self._hz, np.linspace(TORQUE_BAND_HZ, highest, _NOISE_BANDS + 1))

@@ -22,8 +22,8 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 Array = NDArray[np.float64]
 
 _OFF: Final = 0.1
-"""m/s that the velocity of an estimator differs from the GPS's for seconds, from which on it is looked at. Measured:
-0.02 to 0.04 in flights of ArduPilot's simulator, 0.05 in slow flights of PX4's SIH, 0.16 to 0.3 in lively ones."""
+"""m/s by which the velocity of an estimator differs from the GPS's for seconds, from which on it is looked at. Source:
+measured; 0.02 to 0.04 with ArduPilot's simulator, 0.05 in slow and 0.16 to 0.3 in lively flights of PX4's SIH."""
 _CLOSER: Final = 0.5
 """Part of that difference at most that a better velocity has. Chosen, not measured: both follow the same GPS."""
 _SLOW_S: Final = 1.0
@@ -55,7 +55,10 @@ def estimator_error(recording: Recording) -> EstimatorError | None:
 
 def _fastest_unit(recording: Recording) -> tuple[Channel, Channel] | None:
     """Accelerometer and gyroscope of the fastest unit, filtered streams included."""
-    streams = [c for c in (*recording.channels, *recording.dynamics) if c.stage != Stage.RAW and len(c) > 1]
+    # a bare stream of a driver carries no calibration
+    bare = recording.identity.autopilot is not None
+    every = (*recording.channels, *recording.dynamics)
+    streams = [c for c in every if len(c) > 1 and not (bare and c.stage == Stage.RAW)]
     found = []
     for unit in sorted({c.instance for c in streams if c.sensor is Sensor.ACCEL}):
         own = [[c for c in streams if c.sensor is s and c.instance == unit] for s in (Sensor.ACCEL, Sensor.GYRO)]
@@ -71,8 +74,8 @@ def _rate(channel: Channel) -> float:
 
 
 def _slow_difference(gps: Channel, t: Array, velocity: Array, late: float) -> float:
-    """Robust rms of GPS less `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, of the horizontal axes."""
+    """Robust rms of GPS less `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, of the worse horizontal axis."""
     seen = (gps.t - late > t[0]) & (gps.t - late < t[-1])
     apart = gps.values[seen, :2] - interpolated(t, velocity[:, :2], gps.t[seen] - late)
     slow = uniform_filter1d(apart, max(1, round(_SLOW_S * _rate(gps))), axis=0)
-    return float(1.4826 * np.median(np.abs(slow)))
+    return float(1.4826 * np.median(np.abs(slow), axis=0).max())

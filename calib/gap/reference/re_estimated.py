@@ -373,8 +373,8 @@ def _contradicted_intervals(state: TrajectoryState, imu: Increments, between: In
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]
-    sd = np.sqrt(WALK[[0, 3]] ** 2 * imu.dt + imu.sampling**2)
-    off = np.maximum(np.abs(turned).max(axis=1) / sd[0], np.abs(moved).max(axis=1) / sd[1])
+    sd = np.sqrt(WALK[[0, 3], None] ** 2 * imu.dt + imu.sampling**2)
+    off = np.maximum(np.abs(turned / sd[0]).max(axis=1), np.abs(moved / sd[1]).max(axis=1))
     return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
 
 

@@ -28,7 +28,7 @@ sensor's noise."""
 class Increments:
     """Angle and velocity increments (K, STEPS, 3) of an inertial unit over the steps of K intervals of `dt` seconds.
 
-    `sampling` (2,) are standard deviations of angle and velocity over an interval by sampling alone: the change of the
+    `sampling` (2, 3) are standard deviations of angle and velocity over an interval by sampling alone: the change of the
     sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow samples that
     error is correlated over several intervals; it is scaled as independent errors with the same sum. `known` (K,) is
     False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of :data:`WARMTH_UNIT`; 0 if
@@ -54,9 +54,9 @@ class Increments:
         middle = 0.5 * (t[1:] + t[:-1])
         known = np.logical_and.reduce([s.known(x) for s in (gyro, accel) for x in (t[:-1], middle, t[1:])])
         rows = known if known.any() else ~known
-        change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2)) for a, b in zip(sums, coarse, strict=True)]
+        change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2, axis=0)) for a, b in zip(sums, coarse, strict=True)]
         lasting = [np.sqrt(max(1.0, float(np.median(np.diff(s.t))) / dt)) for s in (gyro, accel)]
-        sampling = np.array(change) * lasting
+        sampling = np.array(change) * np.array(lasting)[:, None]
         return cls(t, dt, sums[0], sums[1], sampling, known, _relative_warmth(temperature, len(t) - 1))
 
     def integrated(

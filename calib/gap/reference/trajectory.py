@@ -289,7 +289,7 @@ def _add_inertial(normal: BorderedEquations, imu: Increments, between: IntervalM
     f[:, 3:6, :3] = -matrix @ _cross(between.velocity)
     f[:, 3:6, 9:] = -dt * matrix
     variance = np.tile(state.walk**2 * dt, (len(matrix), 1))
-    variance[:, :6] += np.where(imu.known[:, None], np.repeat(imu.sampling**2, 3), _LOST**2)
+    variance[:, :6] += np.where(imu.known[:, None], imu.sampling.ravel() ** 2, _LOST**2)
     weight = 1.0 / variance
     weighted = f * weight[:, :, None]
     normal.diagonal[:-1] += weighted.swapaxes(1, 2) @ f

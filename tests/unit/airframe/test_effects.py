@@ -73,6 +73,13 @@ def test_the_derivative_is_that_of_finite_differences(model: Airframe) -> None:
             np.testing.assert_allclose(slope[:, k], (ends[0] - ends[1]) / (2.0 * step), atol=2e-7, rtol=1e-6)
 
 
+def test_a_lift_by_itself_leaves_yaw_as_it_was(model: Airframe) -> None:
+    assert real(model, "thrust_by_lift", -0.1) == {
+        "k": (25.0, pytest.approx(22.5)), "gain_x": (280.0, pytest.approx(252.0)),
+        "gain_y": (280.0, pytest.approx(252.0)),
+    }  # fmt: skip
+
+
 def test_a_force_on_all_motors_scales_thrust_and_what_turns(model: Airframe) -> None:
     assert real(model, "thrust_scale", -0.1) == {
         "k": (25.0, pytest.approx(22.5)), "gain_x": (280.0, pytest.approx(252.0)),

@@ -14,6 +14,7 @@ from mavcal.calib.airframe.flown import FlownFlight, Rest
 from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import Airframe, Kind, Layout
+from mavcal.calib.airframe.signals import kept_below, spline
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.inference.search import search
 from tests.unit.airframe.made import HZ, G, airframe, flight, theta
@@ -131,6 +132,31 @@ def test_gravity_at_rest_bounds_the_accelerometer(scale: float, name: str, mean:
     assert likelihood.prior("bias_z") == (pytest.approx(G * (1.0 - scale), abs=1e-9), rest.sd)
     assert unseen.prior("bias_z")[1] > 3.0 * rest.sd
     assert unseen.prior("k") == prior_of("k")
+
+
+@pytest.mark.parametrize("rate", [125.0, 250.0, 400.0])
+def test_white_noise_of_a_gyroscope_is_what_it_is_at_any_rate(rate: float) -> None:
+    """Not a part of it, by bands near the grid's end: half was taken for what a controller answers."""
+    rng = np.random.default_rng(11)
+    stamps = np.arange(0.0, N / HZ, 1.0 / rate)
+    noise = kept_below(0.1 * rng.normal(size=(len(stamps), 3)), rate, HZ)
+    one = flew(0)
+    one = replace(one, acceleration=one.acceleration + spline(stamps, noise)(one.t, 1), inertial_hz=rate)
+    likelihood = FlightLikelihood(airframe(one, kind=KIND, volts=None), one.usable, torque=True)
+    np.testing.assert_allclose(likelihood.gyro_noise, 0.01 * HZ / rate, rtol=0.2)
+
+
+def test_turns_are_judged_where_they_stand_out_of_the_noise() -> None:
+    rng = np.random.default_rng(12)
+    quiet = replace(flew(0), inertial_hz=400.0)
+    noise = np.gradient(0.5 * rng.normal(size=(N, 3)), 1.0 / HZ, axis=0)
+    loud = replace(quiet, acceleration=quiet.acceleration + noise)
+    heard = [
+        [FlightLikelihood(airframe(f, kind=KIND, volts=None), f.usable, torque=True).heard(k) for k in (3, 4, 5)]
+        for f in (quiet, loud)
+    ]
+    assert min(heard[0]) > 15.0
+    assert max(heard[1]) < 14.0
 
 
 def test_a_flight_without_torque_says_nothing_of_turns() -> None:
