@@ -25,12 +25,13 @@ from mavcal.calib.gap.reference.signals import Signal, interpolated, slow_values
 from mavcal.calib.gap.reference.strapdown import STEPS, Increments, IntervalMotion
 from mavcal.calib.gap.reference.trajectory import (
     ACCEL_SCALE,
+    ATTITUDE,
     EARTH,
     GYRO,
     GYRO_BIAS,
     ITERATIONS,
     LATE_GPS,
-    WALK,
+    VELOCITY,
     Aiding,
     TrajectoryState,
     initial_state,
@@ -220,30 +221,39 @@ def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTraj
         warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
         if warm.plausible and warm.cost < best.cost - _WARMER:
             best, matrices, drifts = warm, True, True
-    if aiding.truth is None:
-        best = _with_bias_walk(found.imu, aiding, best, matrices=matrices, drifts=drifts)
+    best = _with_walk(found.imu, aiding, best, matrices=matrices, drifts=drifts)
     best = with_accuracy(found.imu, aiding, best, matrices=matrices, drifts=drifts)
     return dataclasses.replace(found, state=best)
 
 
-def _with_bias_walk(
+def _with_walk(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
-    """`state`, or a trajectory whose gyroscope bias wanders as much as the readings and the aiding say.
+    """`state`, or a trajectory whose attitude, velocity or bias wanders as much as the readings and the aiding say.
 
     A bias that wanders more than the smoother assumes turns the attitude, and looks like errors of axes, scales and the
-    Earth's field. Intervals that are contradicted, as in a crash, do not count.
+    Earth's field; so does the noise of a loud unit. Intervals that are contradicted, as in a crash, do not count,
+    unless most are: then the unit is louder than was assumed.
     """
     strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
+    if strained.mean() > _MOSTLY:
+        strained = np.zeros_like(strained)
     calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
     best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
     evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
     for _ in range(_WALKS):
-        walk = best.walk.copy()
-        walk[GYRO_BIAS] *= _FURTHER
-        other = smooth(calm, aiding, dataclasses.replace(best, walk=walk), matrices=matrices, drifts=drifts)
-        gained = log_evidence(calm, aiding, other, matrices=matrices, drifts=drifts) - evidence
-        if not other.plausible or 2.0 * gained < _WARMER:
+        gained, other = 0.0, best
+        for part in (ATTITUDE, VELOCITY, GYRO_BIAS)[: 3 if aiding.truth is None else 2]:
+            walk = best.walk.copy()
+            walk[part] *= _FURTHER
+            tried = dataclasses.replace(best, walk=walk)
+            if part != GYRO_BIAS and log_evidence(calm, aiding, tried, matrices=matrices, drifts=drifts) < evidence:
+                continue  # another noise of the readings hardly moves the trajectory, another bias does
+            tried = smooth(calm, aiding, tried, matrices=matrices, drifts=drifts)
+            found = log_evidence(calm, aiding, tried, matrices=matrices, drifts=drifts) - evidence
+            if tried.plausible and found > gained:
+                gained, other = found, tried
+        if 2.0 * gained < _WARMER:
             break
         best, evidence = other, evidence + gained
     if best.walk is state.walk:
@@ -373,7 +383,7 @@ def _contradicted_intervals(state: TrajectoryState, imu: Increments, between: In
     here, there = state.attitude[:-1], state.attitude[1:]
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]
-    sd = np.sqrt(WALK[[0, 3], None] ** 2 * imu.dt + imu.sampling**2)
+    sd = np.sqrt(state.walk[:6].reshape(2, 3) ** 2 * imu.dt + imu.sampling**2)
     off = np.maximum(np.abs(turned / sd[0]).max(axis=1), np.abs(moved / sd[1]).max(axis=1))
     return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
 

@@ -28,11 +28,11 @@ sensor's noise."""
 class Increments:
     """Angle and velocity increments (K, STEPS, 3) of an inertial unit over the steps of K intervals of `dt` seconds.
 
-    `sampling` (2, 3) are standard deviations of angle and velocity over an interval by sampling alone: the change of the
-    sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow samples that
-    error is correlated over several intervals; it is scaled as independent errors with the same sum. `known` (K,) is
-    False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of :data:`WARMTH_UNIT`; 0 if
-    unknown or nearly constant.
+    `sampling` (2, 3) are standard deviations of angle and velocity over an interval by sampling alone, x y z: the
+    change of the sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow
+    samples that error is correlated over several intervals; it is scaled as independent errors with the same sum.
+    `known` (K,) is False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of
+    :data:`WARMTH_UNIT`; 0 if unknown or nearly constant.
     """
 
     t: Array

@@ -23,10 +23,8 @@ from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
-GYRO_BIAS = slice(6, 9)
-"""Where it is in the state of a node."""
-_ATTITUDE, _VELOCITY = slice(0, 3), slice(3, 6)
-"""The same of these. Source: the order of :data:`NODE`."""
+ATTITUDE, VELOCITY, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Where they are in the state of a node."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
@@ -332,7 +330,7 @@ def _add_velocity(
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
     by_velocity = np.broadcast_to(np.eye(3), (len(node), 3, 3))
     rows = Rows(node, residual, _weights(residual, state.velocity_sd))
-    normal.observe(rows, _VELOCITY, by_velocity, np.array([LATE_GPS]), -acceleration[:, :, None])
+    normal.observe(rows, VELOCITY, by_velocity, np.array([LATE_GPS]), -acceleration[:, :, None])
     normal.velocity_residual = residual
 
 
@@ -353,7 +351,7 @@ def _add_field(
         by_constant[:, i, k], by_constant[:, j, k] = ideal[:, j], ideal[:, i]
     constants = normal.free[normal.free < SOFT_IRON.stop]
     rows = Rows(node, residual, _weights(residual, np.full(3, state.mag_sd)))
-    normal.observe(rows, _ATTITUDE, iron @ _cross(ideal), constants, by_constant[:, :, constants])
+    normal.observe(rows, ATTITUDE, iron @ _cross(ideal), constants, by_constant[:, :, constants])
     normal.mag_residual = residual
 
 
@@ -369,7 +367,7 @@ def _add_truth(
     residual = (body_from_ned * truth).as_rotvec()
     by_attitude, none = np.broadcast_to(np.eye(3), (len(node), 3, 3)), np.zeros(0, np.intp)
     rows = Rows(node, residual, _weights(residual, np.full(3, TRUTH_SD)))
-    normal.observe(rows, _ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)))
+    normal.observe(rows, ATTITUDE, by_attitude, none, np.zeros((len(node), 3, 0)))
 
 
 def _attitudes(
