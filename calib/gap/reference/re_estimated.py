@@ -83,8 +83,10 @@ _MEAN_S = 0.1
 _WARMER = 40.0
 """Twice the log-likelihood by which biases that follow the temperature, or wander, must fit better. Source: decision
 9."""
-_FURTHER, _WALKS = 10.0, 4
-"""Times that a gyroscope's bias may wander more, and how often in a row that is tried. Source: decision 9."""
+_FURTHER, _LOUDER, _WALKS = 10.0, 2.0, 6
+"""Times that a gyroscope's bias may wander more, that the noise of a unit may be louder, and how often in a row that is
+tried. Source: decision 9 for the first. The others are chosen, not measured: PX4's SIH is 30 times as loud as assumed.
+"""
 _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3
 """Standard deviation of a magnetometer's mean gain, where that field is known and where it is not. Source: decision 8;
 where the field is not known the gain is one."""
@@ -212,54 +214,75 @@ def _unit_without_delay(
 def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
     """The trajectory with scales and misalignments, and thermal or wandering biases if those fit far better.
 
-    Unchanged if the estimates are implausible because they explain something else, like a crash.
+    Unchanged if the estimates are implausible because they explain something else, like a crash. Noise of a loud unit
+    does the same to its axes: there they are free only where the evidence asks for it.
     """
-    state = smooth(found.imu, aiding, found.state)
-    free = smooth(found.imu, aiding, state, matrices=True)
-    best, matrices, drifts = (free, True, False) if free.plausible else (state, False, False)
-    if found.imu.warmth.any():
-        warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
+    imu = found.imu
+    state = smooth(imu, aiding, found.state)
+    louder = _with_noise(_calm(imu, state), aiding, state)
+    loud = louder is not state
+    free = smooth(imu, aiding, louder, matrices=True)
+    bent = not free.plausible or (
+        loud and log_evidence(imu, aiding, free, matrices=True) < log_evidence(imu, aiding, louder)
+    )
+    best, matrices, drifts = (louder, False, False) if bent else (free, True, False)
+    if imu.warmth.any():
+        warm = smooth(imu, aiding, louder, matrices=not (loud and bent), drifts=True)
         if warm.plausible and warm.cost < best.cost - _WARMER:
-            best, matrices, drifts = warm, True, True
-    best = _with_walk(found.imu, aiding, best, matrices=matrices, drifts=drifts)
-    best = with_accuracy(found.imu, aiding, best, matrices=matrices, drifts=drifts)
+            best, matrices, drifts = warm, not (loud and bent), True
+    if aiding.truth is None:
+        best = _with_bias_walk(imu, aiding, best, matrices=matrices, drifts=drifts)
+    best = with_accuracy(imu, aiding, best, matrices=matrices, drifts=drifts)
     return dataclasses.replace(found, state=best)
 
 
-def _with_walk(
+def _calm(imu: Increments, state: TrajectoryState) -> Increments:
+    """Without the intervals that are contradicted, as in a crash; with all where most are, by a loud unit."""
+    strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
+    usual = not strained.any() or strained.mean() > _MOSTLY
+    return imu if usual else dataclasses.replace(imu, known=imu.known & ~strained)
+
+
+def _with_noise(imu: Increments, aiding: Aiding, state: TrajectoryState) -> TrajectoryState:
+    """`state`, or the trajectory with the noise of attitude and velocity, axis by axis, that has more evidence."""
+    best = state
+    for _ in range(_WALKS):
+        louder, evidence = best, log_evidence(imu, aiding, best)
+        for axis in range(ATTITUDE.start, VELOCITY.stop):
+            walk = louder.walk.copy()
+            walk[axis] *= _LOUDER
+            tried = dataclasses.replace(louder, walk=walk)
+            if 2.0 * ((found := log_evidence(imu, aiding, tried)) - evidence) > _WARMER:
+                louder, evidence = tried, found
+        if louder is best:
+            break
+        best = smooth(imu, aiding, louder)
+    return best
+
+
+def _with_bias_walk(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
-    """`state`, or a trajectory whose attitude, velocity or bias wanders as much as the readings and the aiding say.
+    """`state`, or a trajectory whose gyroscope bias wanders as much as the readings and the aiding say.
 
     A bias that wanders more than the smoother assumes turns the attitude, and looks like errors of axes, scales and the
-    Earth's field; so does the noise of a loud unit. Intervals that are contradicted, as in a crash, do not count,
-    unless most are: then the unit is louder than was assumed.
+    Earth's field. Intervals that are contradicted, as in a crash, do not count.
     """
-    strained = _contradicted_intervals(state, imu, state.interval_motion(imu))
-    if strained.mean() > _MOSTLY:
-        strained = np.zeros_like(strained)
-    calm = dataclasses.replace(imu, known=imu.known & ~strained) if strained.any() else imu
-    best = smooth(calm, aiding, state, matrices=matrices, drifts=drifts) if strained.any() else state
+    calm = _calm(imu, state)
+    best = state if calm is imu else smooth(calm, aiding, state, matrices=matrices, drifts=drifts)
     evidence = log_evidence(calm, aiding, best, matrices=matrices, drifts=drifts)
     for _ in range(_WALKS):
-        gained, other = 0.0, best
-        for part in (ATTITUDE, VELOCITY, GYRO_BIAS)[: 3 if aiding.truth is None else 2]:
-            walk = best.walk.copy()
-            walk[part] *= _FURTHER
-            tried = dataclasses.replace(best, walk=walk)
-            if part != GYRO_BIAS and log_evidence(calm, aiding, tried, matrices=matrices, drifts=drifts) < evidence:
-                continue  # another noise of the readings hardly moves the trajectory, another bias does
-            tried = smooth(calm, aiding, tried, matrices=matrices, drifts=drifts)
-            found = log_evidence(calm, aiding, tried, matrices=matrices, drifts=drifts) - evidence
-            if tried.plausible and found > gained:
-                gained, other = found, tried
-        if 2.0 * gained < _WARMER:
+        walk = best.walk.copy()
+        walk[GYRO_BIAS] *= _FURTHER
+        other = smooth(calm, aiding, dataclasses.replace(best, walk=walk), matrices=matrices, drifts=drifts)
+        gained = log_evidence(calm, aiding, other, matrices=matrices, drifts=drifts) - evidence
+        if not other.plausible or 2.0 * gained < _WARMER:
             break
         best, evidence = other, evidence + gained
-    if best.walk is state.walk:
+    if np.array_equal(best.walk, state.walk):
         return state
     freed = dataclasses.replace(state, walk=best.walk)
-    return smooth(imu, aiding, freed, matrices=matrices, drifts=drifts) if strained.any() else best
+    return best if calm is imu else smooth(imu, aiding, freed, matrices=matrices, drifts=drifts)
 
 
 def _span(channels: Sequence[Channel], velocity: Signal) -> tuple[float, float]:

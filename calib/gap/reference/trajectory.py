@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.reference.bordered import BorderedEquations, Rows
 from mavcal.calib.gap.reference.posed import GRAVITY_NED
-from mavcal.calib.gap.reference.strapdown import Increments, IntervalMotion
+from mavcal.calib.gap.reference.strapdown import STEPS, Increments, IntervalMotion
 
 Array = NDArray[np.float64]
 
@@ -375,8 +375,12 @@ def _attitudes(
 ) -> tuple[NDArray[np.intp], Rotation, Array]:
     """The node before each of `t`, the rotation from north-east-down to the body, and the rate in the body."""
     node, since = _node_before(t, state.t)
-    rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
-    return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv(), rate
+    interval, step = np.minimum(node, len(between.velocity) - 1), dt / STEPS
+    j = np.clip((since / step).astype(np.intp), 0, STEPS - 1)
+    within = np.stack([r.as_quat() for r in between.within])[j, interval]
+    rate = between.rate[interval, j]
+    turned = Rotation.from_quat(within) * Rotation.from_rotvec(rate * (since - j * step)[:, None])
+    return node, (state.attitude[node] * turned).inv(), rate
 
 
 def _node_before(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
