@@ -299,16 +299,20 @@ def _add_inertial(normal: BorderedEquations, imu: Increments, between: IntervalM
     constants = normal.free[normal.free >= GYRO.start]
     if not len(constants):
         return
-    b = _by_unit_constants(imu, between, matrix)[:, :, constants - GYRO.start]
+    b = _by_unit_constants(imu, between, here, there)[:, :, constants - GYRO.start]
     weighted_b = b * weight[:, :, None]
     normal.border[:-1, :, constants] += f.swapaxes(1, 2) @ weighted_b
     normal.border[1:, :, constants] -= weighted_b
     normal.add_constants(constants, b, -defect, weight)
 
 
-def _by_unit_constants(imu: Increments, between: IntervalMotion, matrix: Array) -> Array:
-    """How the constants of the inertial unit, from `GYRO` on, change the next node's state, (K, 12, 27)."""
-    turned = between.turn.as_rotvec()
+def _by_unit_constants(imu: Increments, between: IntervalMotion, here: Rotation, there: Rotation) -> Array:
+    """How the constants of the inertial unit, from `GYRO` on, change the next node's state, (K, 12, 27).
+
+    The gyroscope's matrix acts on how far the vehicle turned, not on the reading of it: the noise in that would bend
+    the matrix (errors in variables, Deming 1943).
+    """
+    matrix, turned = here.as_matrix(), (here.inv() * there).as_rotvec()
     b = np.zeros((len(matrix), NODE, CONSTANTS))
     for i in range(3):
         b[:, i, GYRO.start + 3 * i : GYRO.start + 3 * i + 3] = -turned
