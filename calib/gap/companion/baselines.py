@@ -186,6 +186,11 @@ _UNCERTAIN_EVIDENCE = 0.1
 """Part of the evidence of a simulated flight's own nuisance effects that a real one must have beyond them. Chosen, not
 measured: a tenth is small beside the effect itself."""
 
+_OWN_EVIDENCE = 0.04
+"""The same, for a compass, of what is within the error of the simulated flight's reference. That is fitted in the real
+one too, but an attitude errs in more ways. Chosen, not measured: such a fit is right to a fifth. Attitudes known to 0.7
+degrees made a compass without noise saturate by 0.1 uT. An inertial unit errs as its own trajectory does."""
+
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBaseline:
@@ -194,15 +199,16 @@ class SimulatedBaseline:
     `effects` are expected in another flight too. `own` effects include errors of this flight's reference, which differ
     from flight to flight. `uncertain` effects, those expected elsewhere and those that fit noise, measure how far two
     flights differ.
-    By sensor: `gains` of the largest of them; `changes` of the ideal reading by all of them, as a sum of squares;
-    `movement`, the variance of the ideal reading; `accepted_difference`, the gain below which no effect was searched
-    for.
+    By sensor: `gains` of the largest of them, `own_gains` of the largest own one; `changes` of the ideal reading by all
+    of them, as a sum of squares; `movement`, the variance of the ideal reading; `accepted_difference`, the gain below
+    which no effect was searched for.
     """
 
     effects: tuple[EffectEstimate, ...]
     own: tuple[EffectEstimate, ...]
     uncertain: tuple[EffectEstimate, ...]
     gains: Mapping[Sensor, float]
+    own_gains: Mapping[Sensor, float]
     changes: Mapping[Sensor, float]
     movement: Mapping[Sensor, float]
     accepted_difference: Mapping[Sensor, float]
@@ -223,17 +229,18 @@ def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | Non
     found = steady_effects(
         problem, alpha, GainThresholds(MinimumGain(small, small, small, small, drift_entry=small)), pace=pace
     )
-    largest = {t.sensor: 0.0 for t in problem.traces}
-    for one in (*found.supported, *found.doubted):
-        for sensor in one.sensors:
-            largest[sensor] = max(largest[sensor], one.gain)
+    largest, within = ({t.sensor: 0.0 for t in problem.traces} for _ in range(2))
+    for gains, ones in ((largest, (*found.supported, *found.doubted)), (within, found.own)):
+        for one in ones:
+            for sensor in one.sensors:
+                gains[sensor] = max(gains[sensor], one.gain)
     effects, own, doubted = (
         tuple(one.effect for one in which) for which in (found.supported, found.own, found.doubted)
     )
     uncertain = (*effects, *doubted)
     changes = _squared_changes(problem, uncertain)
     moves = _movement_variance(problem)
-    return SimulatedBaseline(effects, own, uncertain, largest, changes, moves, small, problem.reference)
+    return SimulatedBaseline(effects, own, uncertain, largest, within, changes, moves, small, problem.reference)
 
 
 def _without_learned_noise(trace: Trace) -> Trace:
@@ -319,12 +326,13 @@ def _nuisance_gain(
     The uncertainty is a share of the evidence for the baseline, at least the accepted difference. It is common to all
     instances and grows with the movement. Refitted noise absorbs a part: gains count as ``n log(1 + gain / n)``.
     """
+    own = _OWN_EVIDENCE * baseline.own_gains.get(sensor, 0.0) if sensor is Sensor.MAG else 0.0
     there = baseline.changes.get(sensor, 0.0)
     if there == 0.0:
-        return 0.0
+        return _gain_with_refitted_noise(problem, own, sensor)
     part = max(_UNCERTAIN_EVIDENCE * baseline.gains.get(sensor, 0.0), baseline.accepted_difference.get(sensor, 0.0))
     gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
-    return _gain_with_refitted_noise(problem, gain, sensor)
+    return _gain_with_refitted_noise(problem, max(gain, own), sensor)
 
 
 def _gain_with_refitted_noise(problem: GapProblem, gain: float, sensor: Sensor) -> float:
