@@ -44,6 +44,9 @@ _INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
 _BY_ITSELF: Final = frozenset({Trait.THERMAL, Trait.WANDERING})
 _SPOKEN_OF: Final = 0.05
 """Probability from which an effect that is not named is a warning. Source: the odds of any effect before a flight."""
+_FIVE: Final = 5.0
+"""Standard errors beyond which a size is no chance and no error of the reference. Source: a custom of physics, one in
+three million."""
 _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
@@ -236,10 +239,14 @@ def _late(effect: EffectEstimate) -> str:
 def _moves(effect: EffectEstimate) -> bool:
     """Whether an effect goes with the flight, whose forces no sensor's model knows.
 
-    A temperature goes by itself, and so does noise that wanders. A bias is compared with that of the simulator's units.
+    A temperature goes by itself, and so does noise that wanders. A bias of an inertial unit is compared with that of
+    the simulator's units; an offset of a compass may be the attitude's error.
     """
     known = by_id().get(effect.id)
-    return known is None or not (_BY_ITSELF & known.traits or known.term is SensorTerm.BIAS)
+    if known is None:
+        return True
+    biased = known.term is SensorTerm.BIAS and effect.sensor in _INERTIAL
+    return not (_BY_ITSELF & known.traits or biased)
 
 
 def _compared(report: GapReport) -> bool:
@@ -251,13 +258,15 @@ def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
 
     Noise adds nothing to the model of a series: it is larger if it gains more than two nats a number. Drift noise is
-    never.
+    never. What is within five standard errors, which have the reference's, may be the reference's own.
     """
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)
     if isinstance(known, NoiseEffect):
         numbers = sum(s.residual.size for s in own)
         return not known.drifts and 0 < 4 * numbers < effect.evidence.two_delta_loglik
+    if not any(abs(p.value) > _FIVE * p.se for p in effect.params):
+        return False
     for one in own:
         left = np.nanmean((one.residual - one.modelled) ** 2)
         if any(name.startswith(effect.id) and np.nanmean(p**2) > left for name, p in one.parts.items()):

@@ -32,7 +32,8 @@ class Increments:
     change of the sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow
     samples that error is correlated over several intervals; it is scaled as independent errors with the same sum.
     `known` (K,) is False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of
-    :data:`WARMTH_UNIT`; 0 if unknown or nearly constant.
+    :data:`WARMTH_UNIT`; 0 if unknown or nearly constant. `dense`: the gyroscope has a sample for every step, so that
+    they show how the vehicle turned within an interval.
     """
 
     t: Array
@@ -42,6 +43,7 @@ class Increments:
     sampling: Array
     known: NDArray[np.bool_]
     warmth: Array
+    dense: bool
 
     @classmethod
     def of(cls, gyro: Signal, accel: Signal, t: Array, temperature: Array | None = None) -> Increments:
@@ -57,7 +59,8 @@ class Increments:
         change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2, axis=0)) for a, b in zip(sums, coarse, strict=True)]
         lasting = [np.sqrt(max(1.0, float(np.median(np.diff(s.t))) / dt)) for s in (gyro, accel)]
         sampling = np.array(change) * np.array(lasting)[:, None]
-        return cls(t, dt, sums[0], sums[1], sampling, known, _relative_warmth(temperature, len(t) - 1))
+        dense = float(np.median(np.diff(gyro.t))) <= dt / STEPS
+        return cls(t, dt, sums[0], sums[1], sampling, known, _relative_warmth(temperature, len(t) - 1), dense)
 
     def integrated(
         self,
@@ -90,17 +93,21 @@ class Increments:
             half = quaternion_product(turn, halves[..., j])  # rotation and sculling to second order
             total += Rotation.from_quat(half.T).apply(velocity[:, j])
             turn = quaternion_product(half, halves[..., j])
-        return IntervalMotion(Rotation.from_quat(turn.T), total, tuple(within), angle / step)
+        return IntervalMotion(Rotation.from_quat(turn.T), total, tuple(within), angle / step, self.dense)
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalMotion:
-    """Rotation and velocity change (K, 3) over each interval, in its initial axes; attitudes and rates at its steps."""
+    """Rotation and velocity change (K, 3) over each interval, in its initial axes; attitudes and rates at its steps.
+
+    `dense`: steps that were sampled, not interpolated.
+    """
 
     turn: Rotation
     velocity: Array
     within: tuple[Rotation, ...]
     rate: Array
+    dense: bool
 
 
 def _relative_warmth(temperature: Array | None, count: int) -> Array:

@@ -380,6 +380,9 @@ def _attitudes(
     """The node before each of `t`, the rotation from north-east-down to the body, and the rate in the body."""
     node, since = _node_before(t, state.t)
     interval, step = np.minimum(node, len(between.velocity) - 1), dt / STEPS
+    if not between.dense:
+        rate = between.turn.as_rotvec()[interval] / dt
+        return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv(), rate
     j = np.clip((since / step).astype(np.intp), 0, STEPS - 1)
     within = np.stack([r.as_quat() for r in between.within])[j, interval]
     rate = between.rate[interval, j]

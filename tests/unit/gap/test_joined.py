@@ -133,7 +133,7 @@ def test_a_search_that_was_cut_short_names_nothing_in_doubt(stage: GapStage) -> 
 
 
 def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> None:
-    scale = effect("gyro_scale", (1,))
+    scale = effect("gyro_scale", (1,), scale=(0.1, 0.0, 0.0))
     scale = replace(scale, evidence=replace(scale.evidence, probability=0.5))
     left = noise(1, 0.01)
     for size, named in ((0.1, ["thrust_scale", "gyro_scale"]), (0.001, ["thrust_scale"])):
@@ -141,6 +141,18 @@ def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> No
         series = SeriesFit(Sensor.GYRO, (1, 2), T, left + part, part, np.ones(3), "rad/s", {"gyro_scale": part})
         after = joined(replace(report(scale), series=(series,)), answer(thrust()), BARE)
         assert [e.id for e in after.effects] == named
+
+
+@pytest.mark.parametrize(("off", "named"), [(3.0, ["thrust_scale"]), (8.0, ["thrust_scale", "mag_hard_iron"])])
+def test_an_offset_of_a_compass_within_its_error_is_not_named_by_its_size(off: float, named: list[str]) -> None:
+    """A compass without noise had one of 0.4 uT, where the attitude was known to 0.7 degrees."""
+    iron = effect("mag_hard_iron", (1,), hard_iron=(off, 0.0, 0.0))
+    evidence = replace(iron.evidence, probability=0.25)
+    iron = replace(iron, params=tuple(replace(p, se=1.0) for p in iron.params), evidence=evidence)
+    part = np.full((len(T), 3), off)
+    series = SeriesFit(Sensor.MAG, (1,), T, noise(1, 0.01) + part, part, np.ones(3), "uT", {"mag_hard_iron": part})
+    before = replace(report(iron), series=(series,))
+    assert [e.id for e in joined(before, answer(thrust()), BARE).effects] == named
 
 
 def test_loud_noise_is_named_though_its_unit_is_in_doubt() -> None:
