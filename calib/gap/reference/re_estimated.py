@@ -447,7 +447,7 @@ def _strain(state: TrajectoryState, imu: Increments, between: IntervalMotion) ->
     turned = (there.inv() * here * between.turn).as_rotvec()
     moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]
     sd = np.sqrt(state.walk[:6].reshape(2, 3) ** 2 * imu.dt + imu.sampling**2)
-    return np.maximum(np.abs(turned / sd[0]).max(axis=1), np.abs(moved / sd[1]).max(axis=1))
+    return np.asarray(np.maximum(np.abs(turned / sd[0]).max(axis=1), np.abs(moved / sd[1]).max(axis=1)))
 
 
 def _reference_info(found: SmoothedTrajectory) -> ReferenceInfo:
