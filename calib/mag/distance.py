@@ -245,7 +245,7 @@ def gauss_newton(
     for _ in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
         prior = shape_prior(ellipsoid, terms.prior_sd, terms.cross_sd)
-        state = _state(ellipsoid)
+        state = np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
         belief = float(state @ prior @ state)
         allowed = (lowest + variance * lowest_belief) * _MAY_RISE + len(distances) * _ROUNDING
         if found.cost + variance * belief > allowed:
@@ -271,10 +271,6 @@ def gauss_newton(
 def score_rows(samples: Array, ellipsoid: Ellipsoid) -> Array:
     """Derivatives (9, N) of the distances of `samples` (N, 3) by the nine parameters."""
     return Distances(Cloud(samples, np.zeros(3), 1.0)).scores(ellipsoid, len(samples))
-
-
-def _state(ellipsoid: Ellipsoid) -> Array:
-    return np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
 
 
 def _residual_variance(found: Pass, tukey_scale: float | None, size: int) -> float:

@@ -104,7 +104,7 @@ def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside 
         held = np.clip(t, low, high)
         slope, curve = _curve(others, 1, low, high), _curve(others, degree, low, high)
         for row, (coefficients, at) in enumerate(((slope, t), (curve, t), (curve, held))):
-            left = y - _value(coefficients, at, low, high)
+            left = y - np.asarray(_powers(at, len(coefficients), low, high) @ coefficients)
             left = left - left[inside].mean(axis=0)
             squares[row] += float((left[~inside] ** 2).mean(axis=1).sum())
         count += int((~inside).sum())
@@ -139,10 +139,6 @@ def _curve(tables: Sequence[tuple[Array, Array]], degree: int, low: float, high:
     )
     values = np.concatenate([y - y.mean(axis=0) for _, y in tables])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
-
-
-def _value(coefficients: Array, t: Array, low: float, high: float) -> Array:
-    return np.asarray(_powers(t, len(coefficients), low, high) @ coefficients)
 
 
 def _powers(t: Array, degree: int, low: float, high: float) -> Array:

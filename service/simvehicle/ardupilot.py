@@ -85,7 +85,7 @@ class ArduPilotVehicle(FlightController):
         if self.table.get("INS_GYR_CAL", 1.0) == 1:
             self.commands.store_gyro_offsets(announce=False)
         self.every(1.0, lambda: self.broadcast(self.heartbeat()), first=1.0)
-        self.every(10.0, lambda: self.broadcast(self._timesync()))
+        self.every(10.0, lambda: self.broadcast(dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)))
         self.every(STATISTICS_PERIOD_S, self._statistics, first=STATISTICS_FIRST_S)
         self.at(0.5, lambda: self.say(self.banner()[0]))
 
@@ -146,6 +146,3 @@ class ArduPilotVehicle(FlightController):
             total = int(self.table.saved["STAT_RUNTIME"]) + int(self.time)
             self.table.store("STAT_RUNTIME", total)
             self.parameters.announce(["STAT_RUNTIME"])
-
-    def _timesync(self) -> Any:
-        return dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)

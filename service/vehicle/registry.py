@@ -136,7 +136,7 @@ class VehicleRegistry:
             if vehicle_id == vehicle.id:
                 return vehicle
         for vehicle in units:
-            if vehicle_id in _places(vehicle):
+            if vehicle_id in (place(link, vehicle) for link in vehicle.links):
                 return vehicle
         heard = ", ".join(vehicle.id for vehicle in units) or "none"
         raise VehicleUnknown(f"There is no vehicle {vehicle_id}; heard so far: {heard}.")
@@ -326,7 +326,3 @@ def is_vehicle(heartbeat: Any) -> bool:
 def place(link: Link, vehicle: Vehicle) -> str:
     """The id that a vehicle without a unique one has from the link on which it was found."""
     return f"{link.id}-{vehicle.system}-{vehicle.component}"
-
-
-def _places(vehicle: Vehicle) -> tuple[str, ...]:
-    return tuple(place(link, vehicle) for link in vehicle.links)
