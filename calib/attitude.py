@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 
 def tilt_sd_deg(model: TriadModel, covariance: Array, gravity: float) -> float:

@@ -15,13 +15,12 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.norm_fit import (
     NEUTRAL,
     PAIRS,
@@ -40,8 +39,6 @@ from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 POSES_METHOD = "accel-multi"
 ONE_AXIS_METHOD = "accel-one-axis"

@@ -7,7 +7,6 @@ from itertools import combinations, pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
@@ -15,11 +14,9 @@ from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan
-from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Event, Oddity, Recording, Sensor, Stage
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 FULL_SCALE: Final = 156.9
 """16 g, m/s2: the range that autopilots set."""

@@ -10,7 +10,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, decimal_year, earth_field
@@ -19,10 +18,8 @@ from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.support import Support, support_of
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
 _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."

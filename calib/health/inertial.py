@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
@@ -23,8 +22,6 @@ from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.still_limits import RESTING, StillnessLimits
 from mavcal.calib.stats.stillness import Still, find_still
-
-Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""

@@ -15,15 +15,13 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.stillness import Still
 from mavcal.calib.stats.windows import finite_rows
 
-Array = NDArray[np.float64]
 WINDOW_S: Final = 10.0
 LEAST_WINDOWS: Final = 3
 LONGEST_STEP_S: Final = 0.5

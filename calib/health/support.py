@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.health import motion
 from mavcal.calib.health.channels import judged_channel
-from mavcal.calib.recording import Channel, Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 _TILT_DEG: Final = 25.0
 """Between up and the mean force over ten seconds: more than offsets, climbs and turns of a good attitude make of it."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.flight.flying import clipped_events
@@ -23,9 +22,7 @@ from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import judged_channel
 from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.health.limits import HealthLimit
-from mavcal.calib.recording import Channel, Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 DAMP: Final = "Damp the mount, and balance the propellers."
 _WINDOW_S: Final = 1.0

@@ -40,9 +40,7 @@ from mavcal.calib.logs.canonical import (
 from mavcal.calib.logs.columns import TableColumns, text_columns
 from mavcal.calib.logs.time_order import moving
 from mavcal.calib.logs.zeros import without_zeros
-from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 MOST_BYTES = 1 << 31
 """Size of the largest table that is read."""

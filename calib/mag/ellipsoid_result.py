@@ -41,9 +41,7 @@ from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 WINDOW_S: Final = 0.1
 """Longest window over which a compass averages, s: ArduPilot reads out at 10 Hz, and magnetometers average inside."""

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.accel.faces import down_of
 from mavcal.calib.accel.rest_reference import SAMPLES, SensorTolerances, fit_rest_reference
@@ -36,10 +35,8 @@ from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _PAUSE = 10.0
 """s without a sample, and twenty intervals: what surrounded the compass may be other things afterwards."""

@@ -22,12 +22,10 @@ from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, 
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.thermal.compass import fit_mag_thermal
 from mavcal.calib.thermal.drift import DriftData
 from mavcal.calib.thermal.fit import LINEAR_METHOD, PolynomialOptions, fit_drift_data, fit_linear
-
-Array = NDArray[np.float64]
 
 TABLES_WARNING = "{} tables, each with an offset of its own"
 _ROWS = 20_000  # of a table, that are enough to compare curves

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
@@ -23,9 +22,7 @@ from mavcal.calib.preflight.liveness import Census, census, sensors_heard
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
 from mavcal.calib.preflight.snapshot import Snapshot
-from mavcal.calib.recording import Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Recording, Sensor
 
 _ABOUT = {
     Sensor.GYRO: (CheckId.GYRO_REST, CheckId.GYRO_NOISE),

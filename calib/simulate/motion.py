@@ -10,14 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Segment
+from mavcal.calib.recording import Array, Segment
 
-Array = NDArray[np.float64]
 Turning = Callable[[Array], tuple[Rotation, Array]]
 """From seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
 

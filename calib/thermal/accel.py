@@ -21,7 +21,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
@@ -29,7 +28,7 @@ from mavcal.calib.accel.poses import check_assumed, residual_in
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import PAIRS
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import Still, pose_means
@@ -48,8 +47,6 @@ from mavcal.calib.thermal.accel_solve import (
 )
 from mavcal.calib.thermal.drift import powers_about
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 METHOD = "accel-thermal"
 

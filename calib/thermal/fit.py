@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.stats.quantisation import COARSE, impute, interval_regression
 from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData, TemperatureBins, powers_about, repeated_rows
@@ -42,8 +42,6 @@ from mavcal.calib.thermal.sweeps import (
     thermal_lag,
 )
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 LINEAR_METHOD = "thermal-linear"
 POLYNOMIAL_METHOD = "thermal-poly"

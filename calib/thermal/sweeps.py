@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import coloured_covariance
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.drift import DriftBlocks
-
-Array = NDArray[np.float64]
 
 _MOVING = 0.1  # of the fastest rate of temperature: slower is neither warming nor cooling
 _BOTH = 0.1  # share of the moving time that either direction needs

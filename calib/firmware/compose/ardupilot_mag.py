@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
@@ -35,9 +34,7 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.mag.free_rotation import Euler
-from mavcal.calib.recording import Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Sensor
 
 
 def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import losses, names
@@ -44,9 +43,8 @@ from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.firmware.values import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
-Array = NDArray[np.float64]
 Names = Mapping[Role, str]
 
 ENABLED: Final = 1

@@ -24,6 +24,7 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.recording import (
+    Array,
     Channel,
     Event,
     Identity,
@@ -36,7 +37,6 @@ from mavcal.calib.recording import (
 )
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 GUARD_BEFORE_S: Final = 0.5
 GUARD_AFTER_S: Final = 0.1
 """Samples so near to a change are left out: it acts before its echo, and the firmware's filter still rings after it."""

@@ -19,6 +19,7 @@ from mavcal.calib.firmware.stream import auxiliary
 from mavcal.calib.firmware.stream.announcements import Announcements
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, INERTIAL, InertialMessage, MessageSensor
 from mavcal.calib.recording import (
+    Array,
     Channel,
     Event,
     Identity,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from mavcal.calib.firmware.plan import Value
     from mavcal.calib.wire.frames import Frame
 
-Array = NDArray[np.float64]
 
 WRAP_S: Final = 2.0**32 / 1000.0
 """A millisecond counter of 32 bits starts again after 49.7 days."""
