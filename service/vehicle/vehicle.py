@@ -262,7 +262,7 @@ class Vehicle:
         elif used and message_id in STATE_IDS:
             self._change(reduce(self.state, decode(frame), now, since))
         elif used and message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            self.parameters.hear(frame, now)
+            self.parameters.hear(frame)
         elif message_id == VERSION_ID:
             self._identified(decode(frame), channel, now)
         self.waits.feed(frame, beside=not used)
