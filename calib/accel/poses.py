@@ -17,7 +17,6 @@ import numpy as np
 import scipy
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -38,7 +37,7 @@ from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.stats.windows import finite_rows
-from mavcal.calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel, tilt_sd_deg
 
 POSES_METHOD = "accel-multi"
 ONE_AXIS_METHOD = "accel-one-axis"

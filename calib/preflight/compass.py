@@ -25,9 +25,8 @@ from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.names import MOTOR, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, counted, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Verdict, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, evidence_lines
-from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Array, Sensor
 
 _VEHICLE = "the vehicle's own heading"

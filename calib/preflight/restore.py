@@ -39,11 +39,10 @@ from mavcal.calib.firmware.plan import (
     Value,
     WritePlan,
 )
-from mavcal.calib.preflight.check import Measure, Verdict
+from mavcal.calib.preflight.check import Measure, Verdict, VerifiedCalibration
 from mavcal.calib.preflight.expected import ExpectedCalibration, ExpectedValue, expected, last_of_each
 from mavcal.calib.preflight.inertial import force_measures, rest_measures
 from mavcal.calib.preflight.rest import Mean, mean_at_rest, moved
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Recording, Sensor
 
 _RANKS: Mapping[Role, Rank] = {

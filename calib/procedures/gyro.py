@@ -15,11 +15,10 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_temperature, share_of_information
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor

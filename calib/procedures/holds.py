@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcal.calib.procedures.base import mean_temperature
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.poses import angle
 from mavcal.calib.procedures.protocol import Pose
-from mavcal.calib.procedures.results import mean_temperature
 from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.stillness import PoseMean, Still, pose_means

@@ -19,10 +19,9 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, share_of_information
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor

@@ -16,13 +16,12 @@ from mavcal.calib.accel.poses import fit_one_axis
 from mavcal.calib.firmware.storable import ACCEL_OFFSETS
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, share_of_information
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import down_direction, facing
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor

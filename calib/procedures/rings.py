@@ -20,7 +20,7 @@ from mavcal.calib.mag.orientation import ASKEW, RIGHT_ANGLES, FittedRotation, Mo
 from mavcal.calib.mag.result import FIELD_TOLERANCE, rotation_covariance
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, refusals
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
@@ -28,7 +28,6 @@ from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, Facing, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import Spin, SpinWatch

@@ -16,14 +16,13 @@ from mavcal.calib.accel.six_face import fit_six_face
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_or_none, refusals
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor

@@ -25,7 +25,6 @@ from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.accel.poses import check_assumed, residual_in
-from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.recording import Array, Channel
@@ -46,7 +45,7 @@ from mavcal.calib.thermal.accel_solve import (
     within_poses,
 )
 from mavcal.calib.thermal.drift import powers_about
-from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.triad import ThermalPolynomial, TriadModel, tilt_sd_deg
 
 METHOD = "accel-thermal"
 

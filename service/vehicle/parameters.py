@@ -27,11 +27,7 @@ from mavcal.service.errors import (
     VehicleSilent,
 )
 from mavcal.service.vehicle.addressee import Addressee
-from mavcal.service.vehicle.encoding import (
-    Parameter,
-    bits_from_value,
-    same_value,
-)
+from mavcal.service.vehicle.encoding import Parameter, bits_from_value, same_value
 from mavcal.service.vehicle.identity import VehicleIdentity
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.waits import Expectation

@@ -10,13 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire.codec import Message, RawMessage, decode
 from mavcal.calib.wire.frames import Frame
-from mavcal.service.errors import (
-    CommandTimeout,
-    LinkDown,
-    ServiceError,
-    VehicleBusy,
-    VehicleConflict,
-)
+from mavcal.service.errors import CommandTimeout, LinkDown, ServiceError, VehicleBusy, VehicleConflict
 from mavcal.service.link.link import Link
 from mavcal.service.link.types import Batch, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
