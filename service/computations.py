@@ -1,4 +1,4 @@
-"""Computations on uploads: fits and gap diagnoses, each in a child process with limits."""
+"""Fits and gap diagnoses of uploads, each in a child process with limits."""
 
 from __future__ import annotations
 

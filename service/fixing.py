@@ -31,7 +31,7 @@ LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
 
 @dataclass(frozen=True)
 class Fix:
-    """What came of one calibration."""
+    """Outcome of one calibration."""
 
     kind: Fixable
     job_id: str
@@ -83,7 +83,7 @@ class PlannedChange(Protocol):
 
 @dataclass(frozen=True)
 class Late:
-    """Sensors that stay as they are, because their change would act only after a restart of the vehicle."""
+    """Sensors left as they are, because their change would act only after a restart of the vehicle."""
 
     keys: tuple[str, ...] = ()
     at_once: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What the inertial sensors went through in flight: vibration, clipping, and whether redundant ones agree in scale."""
+"""Checks the inertial sensors in flight: vibration, clipping, and whether redundant units agree in scale."""
 
 from __future__ import annotations
 

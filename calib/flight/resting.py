@@ -1,4 +1,4 @@
-"""What the inertial sensors read while the vehicle stood still: gravity, bias and its drift, level, each against each.
+"""Checks the inertial sensors at rest: gravity, bias and its drift, level, and whether units agree.
 
 All with the calibration in force: a log is judged as the autopilot took it.
 """

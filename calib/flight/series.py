@@ -1,4 +1,4 @@
-"""The sensors of a recording as series that a picture can hold: extremes are kept, however long it is."""
+"""The sensors of a recording, thinned for a picture; extremes are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drift with temperature from ordinary logs: the rests on the ground, several logs of one vehicle pooled.
+"""Drift with temperature from the rests in ordinary logs, pooled over several logs of one vehicle.
 
 What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
 it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of

@@ -1,4 +1,4 @@
-"""Compasses: unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
+"""Checks compasses: steadiness, the motors' field, the World Magnetic Model, and whether units agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Accelerometers and gyroscopes: gravity, drift while motionless, offset against the attitude, unit against unit."""
+"""Checks accelerometers and gyroscopes: gravity, drift at rest, offset from the attitude, agreement of units."""
 
 from __future__ import annotations
 

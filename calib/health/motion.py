@@ -82,7 +82,7 @@ def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
 
 
 class RatePart(StrEnum):
-    """Which part of a rate: one about the vertical turns the heading, one across it the tilt."""
+    """Part of a rate: about the vertical it turns the heading, across it the tilt."""
 
     ALL = "all"
     LEVEL = "level"

@@ -1,4 +1,4 @@
-"""The health of every sensor of a log in one document, the whole log in one line, and what it lacks.
+"""Health of every sensor of a log, the verdict on the log in one line, and the data that are missing.
 
 Temperatures of the inertial units are compared with those that their calibration covers.
 """

@@ -1,4 +1,4 @@
-"""Tables as recordings and back: the interchange format, and foreign tables with a mapping.
+"""Reads and writes recordings as tables: the interchange format, and foreign tables with a mapping.
 
 One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``; ``accel_x,y,z gyro_x,y,z
 mag_x,y,z`` (a second instance is ``accel2_x`` …); ``temperature current throttle motor_1… rotor_hz_1…``;

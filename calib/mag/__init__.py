@@ -1,4 +1,4 @@
-"""Magnetometer: offset and soft iron from turning it in the Earth's field, and how far to trust them.
+"""Offset and soft iron of a magnetometer that is turned in the Earth's field, with their uncertainty.
 
 .. code-block:: text
 

@@ -1,4 +1,4 @@
-"""Magnetometer against the vertical, Gauss-Helmert: both observations carry noise (METHODS 3.2).
+"""Gauss-Helmert fit of a magnetometer to the vertical: both observations carry noise (METHODS 3.2).
 
 The iteration starts from one linear system, or from an ellipsoid and the rotation that it leaves open.
 

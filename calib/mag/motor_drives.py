@@ -20,7 +20,7 @@ _LIVE = 0.02  # of the largest: an output that moves less is no motor
 
 
 class DriveKind(StrEnum):
-    """What the field of the motors is taken to be proportional to."""
+    """Signal to which the field of the motors is proportional."""
 
     CURRENT = "current"
     THROTTLE = "throttle"

@@ -1,4 +1,4 @@
-"""Facts that a compass fit needs beside the samples, and the one maker of its :class:`FitResult`.
+"""Facts that a compass fit needs beside the samples, and the function that makes its :class:`FitResult`.
 
 Each method finds an offset and a matrix in its own way, and words its own message and warnings. The tie to the Earth's
 field, the heading error and the limits beyond which nothing may be used are the same for all of them.

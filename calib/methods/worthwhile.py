@@ -1,4 +1,4 @@
-"""Which methods are worthwhile on a vehicle's log, and which are not, each with its reason.
+"""Judges which methods are worthwhile on a vehicle's log, each with its reason.
 
 A method that takes a log names its judgement in its own entry (:class:`calib.methods.method.Suggestion`).
 """

@@ -1,4 +1,4 @@
-"""Compasses at rest: strength, dip and heading of the field against the magnetic model, the others and the vehicle.
+"""Checks compasses at rest: strength, dip and heading against the magnetic model, the others and the vehicle.
 
 A compass whose field has the wrong strength is disturbed; what its direction is then says nothing more, so the
 direction is judged of the others only.

@@ -1,4 +1,4 @@
-"""Parameters against earlier verified calibrations: age, sensors, changes, temperature, motors."""
+"""Compares parameters with earlier verified calibrations: age, sensors, changes, temperature, motors."""
 
 from __future__ import annotations
 

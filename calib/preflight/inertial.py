@@ -1,4 +1,4 @@
-"""Gyroscopes and accelerometers at rest, and the vehicle's attitude against its accelerometers.
+"""Checks gyroscopes and accelerometers at rest, and the vehicle's attitude against its accelerometers.
 
 After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart. The
 vehicle would fly by that attitude.

@@ -1,4 +1,4 @@
-"""The last verified calibration as a plan, to restore lost or changed parameters.
+"""Plans to write the last verified calibration again where parameters were lost or changed.
 
 Nothing is estimated here. The plan belongs to the very unit whose calibration was verified; the service writes it like
 any other plan. Afterwards the sensors have to read right by the limits of a preflight: the calibration may be old.

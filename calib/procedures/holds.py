@@ -1,4 +1,4 @@
-"""One hold of one pose: its samples, and how well the length of its mean specific force is known."""
+"""One hold of a pose: its samples, and the standard deviation of the length of its mean specific force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a sensor moves: legs one after another, and the trajectory that they make.
+"""Motion of a sensor: legs one after another, and their trajectory.
 
 A leg turns the body from where the last one left it, about axes of the body. Attitude, rate and specific force come
 from one formula each, so they agree to rounding.

@@ -1,4 +1,4 @@
-"""Calibrates without hands over the client: runs, plans without what needs a restart, and writes."""
+"""Calibrates a resting vehicle over the client: runs, plans without changes that need a restart, and writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whom a live command is about, and which service it asks: the options that say so, the same for every command."""
+"""Options of every live command that choose its vehicles and the service that it asks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much a link carries, and which stream rates fit into that.
+"""Capacity of a link, and the stream rates that fit into it.
 
 A telemetry radio carries a few kilobytes a second. Asked for more, it loses frames at random, parameter answers
 among them; so rates are chosen below what it was seen to carry, and a job is told how much longer it will take.

@@ -60,7 +60,7 @@ class Fault:
 
 
 class Site(Protocol):
-    """Where faults strike: a vehicle, its links, and room for a twin."""
+    """What faults act on: a vehicle, its links and its twins."""
 
     @property
     def vehicle(self) -> FlightController:
@@ -82,7 +82,7 @@ class Site(Protocol):
 
 
 class Injector:
-    """Keeps the faults that wait, and lets them strike."""
+    """Keeps pending faults, and applies each when it is due."""
 
     def __init__(self, site: Site) -> None:
         self._site = site

@@ -1,4 +1,4 @@
-"""Somebody who does with a simulated vehicle what a prompt asks for.
+"""Does with a simulated vehicle what a prompt asks the operator for.
 
 Prompts are the plain data that the service sends: ``step``, ``pose``, ``remaining``, ``rotate``, ``direction`` …
 """

@@ -1,4 +1,4 @@
-"""Which messages a vehicle needs of its links."""
+"""Messages that a vehicle needs from its links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits into ArduPilot's parameters: accelerometers, gyroscopes and their temperature (FLIGHT_CONTROLLERS 1.1, 1.2).
+"""Turns accelerometer and gyroscope fits, drift included, into ArduPilot's parameters (FLIGHT_CONTROLLERS 1.1, 1.2).
 
 ``u = s - P(T) + P(CALTEMP)`` and ``c = SCAL (u - OFFS)``: the offset stands for one temperature, CALTEMP, and an
 unknown CALTEMP (-300) is silently taken as TMIN. Offset and CALTEMP are therefore written together.

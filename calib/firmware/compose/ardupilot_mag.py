@@ -1,4 +1,4 @@
-"""Fits into ArduPilot's compass parameters (FLIGHT_CONTROLLERS 1.3).
+"""Turns compass fits into ArduPilot's parameters (FLIGHT_CONTROLLERS 1.3).
 
 ``c = M (s (R m + OFS)) + MOT``: the offset is *added*, in mGauss, in the *body* frame. A fit in the raw sensor frame
 (``C (m - b)``) is therefore turned into the body first: ``M = R S R^T``, ``OFS = -R b``. The whole symmetric matrix can

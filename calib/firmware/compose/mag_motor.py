@@ -1,4 +1,4 @@
-"""The motors' field at a compass into parameters, and what is wrong with those in force (FLIGHT_CONTROLLERS 1.3, 1.4).
+"""Turns the motors' field at a compass into parameters, and judges those in force (FLIGHT_CONTROLLERS 1.3, 1.4).
 
 =========  =================================================================================================
 ArduPilot  ``c = M (s (R m + OFS)) + MOT * drive``: *added* behind the matrix, body axes, mGauss per A (COMPASS_MOTCT 2)

@@ -1,4 +1,4 @@
-"""Fits into a plan of writing: one function for every autopilot.
+"""Turns fits into a write plan for either autopilot.
 
 What the firmware cannot store, ignores or overwrites is said in the plan (losses and warnings); what must not be
 written at all is a blocker. The plan is pure data; the service executes it.

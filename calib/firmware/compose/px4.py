@@ -1,4 +1,4 @@
-"""Fits into PX4's accelerometer and gyroscope parameters, and those of their temperature (FLIGHT_CONTROLLERS 1.4).
+"""Turns accelerometer and gyroscope fits, drift included, into PX4's parameters (FLIGHT_CONTROLLERS 1.4).
 
 ``b = L R [(a - TC(T) - OFF) o SCALE]``. Rows are matched by device id; small changes do not reach the memory that
 corrects (:mod:`calib.firmware.compose.px4_memory`).

@@ -160,7 +160,7 @@ def undo(recording: Recording) -> Recording:
 
 
 class Undo:
-    """The same for consecutive chunks of one recording: it remembers parameters, temperatures and motor currents.
+    """Undoes the calibration chunk by chunk, and remembers parameters, temperatures and motor currents.
 
     A parameter counts from its first sight on for everything before; every later change counts from its time, and
     samples within half a second of a change that matters to them are left out. On PX4 each change goes through the

@@ -1,4 +1,4 @@
-"""Do the sensors read right after a write: a gyroscope at rest zero, an accelerometer gravity, a level board level?
+"""Checks the readings after a write: zero of a gyroscope at rest, gravity of an accelerometer, level of a level board.
 
 The check of the parameters (:mod:`calib.firmware.proof.check`) asks whether they act. The parameters of another, equal
 vehicle act as well, and leave the sensors wrong. Here the stream itself is judged. A limit is what honest causes

@@ -1,4 +1,4 @@
-"""Frames of one vehicle to recordings, chunk by chunk: live from a link, or from a file.
+"""Makes recordings of the frames of one vehicle, chunk by chunk, from a link or a file.
 
 The vehicle's clock from time stamps that wrap, arrive late, or restart after a reboot.
 """

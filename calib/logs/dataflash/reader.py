@@ -1,4 +1,4 @@
-"""DataFlash logs to recordings.
+"""Reads DataFlash logs as recordings.
 
 Batches hold some thousand consecutive samples of one sensor at its own rate. ISBH states sensor, instance, time of the
 first sample, rate and scale; each of the following ISBD holds 32 samples as int16 (``BatchSampler.cpp``). Of compass
