@@ -100,7 +100,7 @@ def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array
     """Frequencies (F,) and power density (F, 3) over the flown spans, pauses left out; None: too short or too slow."""
     runs = []
     for span in flown:
-        part = _usable(channel.between(span.start, span.end))
+        part = usable(channel.between(span.start, span.end))
         if len(part) > 1:
             period = float(np.median(np.diff(part.t)))
             cuts = np.flatnonzero(np.diff(part.t) > _PAUSE * period) + 1
@@ -120,11 +120,11 @@ def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array
     return (frequency, total / weight) if weight else None
 
 
-def _usable(part: Channel) -> Channel:
-    """The finite samples with increasing times; `part` itself if all are."""
-    good = finite_rows(part.values)
-    good[1:] &= part.t[1:] > part.t[:-1]
-    return part if good.all() else part.take(good)
+def usable(channel: Channel) -> Channel:
+    """The finite samples with increasing times; `channel` itself if all are."""
+    good = finite_rows(channel.values)
+    good[1:] &= channel.t[1:] > channel.t[:-1]
+    return channel if good.all() else channel.take(good)
 
 
 def _welch(run: Channel, at: Array, rate: float, window: int) -> tuple[Array, Array]:

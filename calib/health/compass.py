@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.health import limits, motion
+from mavcal.calib.flight.flying import usable
+from mavcal.calib.health import limits
 from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.support import Support, support_of
@@ -50,7 +51,7 @@ def compass_findings(recording: Recording, support: Support | None = None) -> It
                 "field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, Sensor.MAG, instance)
             )
             continue
-        channel = motion.usable(streamed)
+        channel = usable(streamed)
         found[instance] = channel
         driven = _driven(recording, channel, attitude)
         if driven is not None:
@@ -204,7 +205,7 @@ def _dip(channel: Channel, attitude: Channel) -> float | None:
 
 def _down(channel: Channel, attitude: Channel) -> Array | None:
     """Down in the body's axes at the samples of `channel`, (N, 3); None: the attitude covers too little of them."""
-    q = motion.usable(attitude)
+    q = usable(attitude)
     if len(q) < 2 or q.t[0] > channel.t[len(channel) // 4] or q.t[-1] < channel.t[-len(channel) // 4]:
         return None
     down = Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]

@@ -13,6 +13,7 @@ import numpy as np
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.craft import craft_of
+from mavcal.calib.flight.flying import usable
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
@@ -126,7 +127,7 @@ def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ..
 
 def _still_means(channel: Channel, laid: Sequence[Still]) -> motion.WindowMeans:
     """One mean a motionless span."""
-    parts = [motion.usable(channel.between(span.start, span.end)) for span in laid]
+    parts = [usable(channel.between(span.start, span.end)) for span in laid]
     kept = [part for part in parts if len(part) > 3]
     if not kept:
         return motion.WindowMeans(np.zeros(0), np.zeros((0, 3)))

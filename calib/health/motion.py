@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.flight.flying import usable
 from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.stillness import Still
-from mavcal.calib.stats.windows import finite_rows
 
 WINDOW_S: Final = 10.0
 LEAST_WINDOWS: Final = 3
@@ -61,13 +61,6 @@ class WindowMeans:
         """Standard error of :attr:`median`, (k,)."""
         spread = np.median(np.abs(self.values - self.median), axis=0)
         return np.asarray(_MEDIAN * spread / np.sqrt(len(self.values)), dtype=np.float64)
-
-
-def usable(channel: Channel) -> Channel:
-    """The finite samples with increasing times."""
-    good = finite_rows(channel.values)
-    good[1:] &= channel.t[1:] > channel.t[:-1]
-    return channel if good.all() else channel.take(good)
 
 
 def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:

@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import NotConvergedError, UndeterminedError
-from mavcal.calib.mag.samples import CHUNK, Cloud
+from mavcal.calib.mag.samples import CHUNK, Array, Cloud
 from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
-
-Array = NDArray[np.float64]
 
 TUKEY = 4.685
 """Tuning constant of the bisquare weight in standard deviations: 95 % efficiency on normal noise."""

@@ -20,12 +20,11 @@ import structlog
 import mavcal.calib.errors
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.service.children.limits import Limits, cause_of
-from mavcal.service.children.tasks import FIRST, LATER
+from mavcal.service.children.tasks import FIRST, LATER, Json
 from mavcal.service.errors import ChildEnded, ChildrenBusy
 
 log = structlog.get_logger(__name__)
 
-Json = dict[str, Any]
 ProgressCallback = Callable[[str], None]
 
 MOST_WAITING = 32

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from mavcal.service.commands.headless import Begun
     from mavcal.service.jobs.core.model import Job
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 OUTCOMES = (
     *("waiting", "running", "done", "warned", "review"),

@@ -274,7 +274,7 @@ def truth_report(vehicle: FlightController, since: float | None = None, until: f
     truth for the field in the body frame: raw_body = R · raw.
     """
     world, config = vehicle.world, vehicle.config
-    ids = vehicle.device_ids()
+    ids = vehicle.device_ids
     last = vehicle.time if until is None else until
     first = last if since is None else since
     t = np.linspace(first, last, 2 + int(max(last - first, 0.0)))
