@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -246,7 +246,15 @@ def _result(
         partial=bool(left.unknown),
         warnings=warnings,
         quality={
-            **_quality(problem, solution, chi2, dof, p_value),
+            **residual_statistics(solution.residuals, max(dof, 0), 1.0),
+            "poses": len(solution.lengths),
+            "chi2": chi2,
+            "dof": dof,
+            "p_value": p_value,
+            "worst_pose": int(np.argmax(np.abs(solution.residuals))),
+            "pose_residuals": (problem.gravity * solution.lengths).tolist(),
+            "pose_residuals_sd": solution.residuals.tolist(),
+            "gravity": problem.gravity,
             "attitude_sd_deg": tilt_sd_deg(model, full, problem.gravity),
         },
         native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": left.form},
@@ -296,22 +304,6 @@ def _contradiction(solution: NormSolution, poses: Sequence[PoseMean], p_value: f
         f"the poses contradict each other (p = {p_value:.1e}; the sd is inflated to their scatter): pose {worst + 1}, "
         f"{pose.start:.1f} to {pose.end:.1f} s, is off most; take it again, or find what bends or shakes"
     )
-
-
-def _quality(
-    problem: NormProblem, solution: NormSolution, chi2: float, dof: int, p_value: float | None
-) -> dict[str, Any]:
-    return {
-        **residual_statistics(solution.residuals, max(dof, 0), 1.0),
-        "poses": len(solution.lengths),
-        "chi2": chi2,
-        "dof": dof,
-        "p_value": p_value,
-        "worst_pose": int(np.argmax(np.abs(solution.residuals))),
-        "pose_residuals": (problem.gravity * solution.lengths).tolist(),
-        "pose_residuals_sd": solution.residuals.tolist(),
-        "gravity": problem.gravity,
-    }
 
 
 def check_assumed(gravity: float, cross_sd: float | None) -> None:

@@ -104,14 +104,11 @@ def _parts(source: Source, mag: Channel) -> list[Channel]:
         return []
     steps = np.diff(mag.t)
     pause = max(_PAUSE, 20.0 * float(np.median(steps)))
-    borders = [float(t) for t in mag.t[1:][steps > pause]] + _events(source.recording)
+    borders = [float(t) for t in mag.t[1:][steps > pause]]
+    borders += [event.t for event in source.recording.events if event.kind in _BORDERS]
     edges = [-np.inf, *sorted(borders), np.inf]
     parts = [mag.between(a, b) for a, b in pairwise(edges)]
     return [part for part in parts if len(part) >= _FEWEST]
-
-
-def _events(recording: Recording) -> list[float]:
-    return [event.t for event in recording.events if event.kind in _BORDERS]
 
 
 def _departure(fit: FitResult, measure: Channel, part: Channel) -> float:
