@@ -68,17 +68,14 @@ class PlannedChange(Protocol):
     @property
     def sensor(self) -> str | None:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
     @property
     def instance(self) -> int:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
     @property
     def needs_reboot(self) -> bool:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
 
 @dataclass(frozen=True)

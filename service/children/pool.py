@@ -42,13 +42,11 @@ class Runs(Protocol):
     @property
     def most(self) -> int:
         """The most items of a campaign that run at a time."""
-        ...
 
     async def run(
         self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None
     ) -> Json:
         """See :meth:`Children.run`."""
-        ...
 
 
 @dataclass

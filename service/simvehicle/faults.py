@@ -65,20 +65,16 @@ class Site(Protocol):
     @property
     def vehicle(self) -> FlightController:
         """The vehicle."""
-        ...
 
     @property
     def links(self) -> Sequence[FaultyLink]:
         """Impairments that its frames pass."""
-        ...
 
     def add_twin(self) -> None:
         """Another vehicle under the same system id."""
-        ...
 
     def remove_twins(self) -> None:
         """Take the others away."""
-        ...
 
 
 class Injector:

@@ -21,7 +21,6 @@ class Movable(Protocol):
 
     def call(self, do: str, **options: Any) -> dict[str, Any]:
         """One request, and its reply."""
-        ...
 
 
 class Operator:

@@ -209,7 +209,6 @@ class InertialSensors(Protocol):
 
     def imu(self, instance: int, state: MotionState) -> ImuReading:
         """Corrected readings of one instance at the times of a state."""
-        ...
 
 
 class Readings(abc.ABC):

@@ -31,38 +31,30 @@ class Process(Protocol):
     @property
     def vehicle(self) -> Any:
         """The vehicle; its personality has more than every vehicle has."""
-        ...
 
     @property
     def injector(self) -> Injector:
         """Its faults."""
-        ...
 
     @property
     def speed(self) -> float:
         """Seconds of the vehicle's time in one of the wall clock."""
-        ...
 
     @property
     def lag_s(self) -> float:
         """Delay of the last tick, s of the wall clock."""
-        ...
 
     def set_speed(self, value: float) -> None:
         """Go at another speed. Raises ControlError if it is none."""
-        ...
 
     def run_script(self, name: str) -> None:
         """Begin the movements of that name. Raises ControlError if there are none."""
-        ...
 
     def stop_script(self) -> None:
         """End the movements."""
-        ...
 
     def stop(self) -> None:
         """End the process."""
-        ...
 
 
 class Verbs:

@@ -16,37 +16,29 @@ class Addressee(Protocol):
     @property
     def system(self) -> int:
         """Its system id."""
-        ...
 
     @property
     def component(self) -> int:
         """Its component id."""
-        ...
 
     @property
     def own(self) -> OwnIdentity:
         """Our own ids in the messages to it, to which it answers."""
-        ...
 
     @property
     def waits(self) -> Waits:
         """The answers that are awaited from it."""
-        ...
 
     @property
     def state(self) -> VehicleState:
         """The latest state."""
-        ...
 
     @property
     def silent(self) -> bool:
         """Whether its last heartbeat is more than 3 s older than what was read of the link."""
-        ...
 
     def clock(self) -> float:
         """Monotonic time, s."""
-        ...
 
     def send(self, message: Message | RawMessage) -> None:
         """Send to it. Raises LinkDown if that is not possible."""
-        ...

@@ -70,25 +70,20 @@ class Holder(Addressee, Protocol):
     @property
     def identity(self) -> VehicleIdentity:
         """Identity of the vehicle, which decides how it encodes values."""
-        ...
 
     @property
     def pace(self) -> Pace:
         """Pace of its answers."""
-        ...
 
     @property
     def way(self) -> str:
         """Name of the link in use: it changes when that falls silent and there is another one."""
-        ...
 
     async def caught_up(self) -> None:
         """Return once everything that it has said by now is known. Raises LinkDown."""
-        ...
 
     def require_writable(self, *, name: str = "", sent: int = 0) -> None:
         """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
-        ...
 
 
 class _Other:
