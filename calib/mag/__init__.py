@@ -31,8 +31,6 @@ Every fit takes samples (N, 3) in order of time and the keywords of :class:`cali
 ==========================  =====================================================================================
 """
 
-from __future__ import annotations
-
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import deblurred, rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred

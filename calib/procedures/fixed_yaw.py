@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -43,7 +42,7 @@ SPEC = ProcedureSpec(
 class MagFixedYawProcedure(TickedProcedure):
     """Waits for rest, and takes the mean of every compass."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -7,7 +7,6 @@ about the vertical turns the compass's field; without a compass only its rate te
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -61,7 +60,7 @@ FIELD_CHANGE = 0.3
 class GyroProcedure(TickedProcedure):
     """Collects samples of one undisturbed rest until the offsets are known as well as asked for."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

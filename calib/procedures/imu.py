@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -59,7 +58,7 @@ REST_S = 6.0
 class ImuProcedure(AccelProcedure):
     """Guides through the poses like the accelerometer job, keeps every sample, and fits both sensors jointly."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -8,7 +8,6 @@ of the field is compared with the World Magnetic Model from the first second.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -74,7 +73,7 @@ CONFIRM_MOUNTING = 30.0
 class MagProcedure(TickedProcedure):
     """Collects sharp samples of every compass until the heading is known as well as asked for."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

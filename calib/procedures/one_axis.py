@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -53,7 +52,7 @@ SHORTEST = 3.0
 class AccelOneAxisProcedure(TickedProcedure):
     """Waits for rest on any face and takes the mean of every accelerometer."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def mounting_in(rotation: Array, covariance: Array) -> dict[str, Any]:
 class MagRingsProcedure(TickedProcedure):
     """Takes one ring on each face, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -7,7 +7,6 @@ the price is that a tilt of the fixture enters at full size. Without a fixture t
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -56,7 +55,7 @@ ROUNDS = 2
 class AccelSixFaceProcedure(TickedProcedure):
     """Takes a mean at rest on each face, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -6,7 +6,7 @@ Neither firmware holds a gyro's scale: what is written is the offset, and the sc
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -121,7 +121,7 @@ class Stretch:
 class GyroTurntableProcedure(TickedProcedure):
     """Takes a rest and steady turns both ways about every requested axis, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -39,9 +39,8 @@ _STDERR_TOLD = 4000
 class Runs(Protocol):
     """Interface of what runs tasks of :mod:`service.children.tasks` within limits."""
 
-    @property
-    def most(self) -> int:
-        """The most items of a campaign that run at a time."""
+    most: int
+    """The most items of a campaign that run at a time."""
 
     async def run(
         self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None

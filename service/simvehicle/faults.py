@@ -62,13 +62,11 @@ class Fault:
 class Site(Protocol):
     """What faults act on: a vehicle, its links and its twins."""
 
-    @property
-    def vehicle(self) -> FlightController:
-        """The vehicle."""
+    vehicle: FlightController
+    """The vehicle."""
 
-    @property
-    def links(self) -> Sequence[FaultyLink]:
-        """Impairments that its frames pass."""
+    links: Sequence[FaultyLink]
+    """Impairments that its frames pass."""
 
     def add_twin(self) -> None:
         """Another vehicle under the same system id."""

@@ -28,21 +28,17 @@ DEFAULT_TREMOR_DEG = 0.2
 class Process(Protocol):
     """What the verbs ask of the process that keeps the vehicle going."""
 
-    @property
-    def vehicle(self) -> Any:
-        """The vehicle; its personality has more than every vehicle has."""
+    vehicle: Any
+    """The vehicle; its personality has more than every vehicle has."""
 
-    @property
-    def injector(self) -> Injector:
-        """Its faults."""
+    injector: Injector
+    """Its faults."""
 
-    @property
-    def speed(self) -> float:
-        """Seconds of the vehicle's time in one of the wall clock."""
+    speed: float
+    """Seconds of the vehicle's time in one of the wall clock."""
 
-    @property
-    def lag_s(self) -> float:
-        """Delay of the last tick, s of the wall clock."""
+    lag_s: float
+    """Delay of the last tick, s of the wall clock."""
 
     def set_speed(self, value: float) -> None:
         """Go at another speed. Raises ControlError if it is none."""

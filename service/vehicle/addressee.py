@@ -13,25 +13,21 @@ from mavcal.service.vehicle.waits import Waits
 class Addressee(Protocol):
     """A vehicle that messages can be sent to, with its pending answers and its state."""
 
-    @property
-    def system(self) -> int:
-        """Its system id."""
+    system: int
+    """Its system id."""
 
-    @property
-    def component(self) -> int:
-        """Its component id."""
+    component: int
+    """Its component id."""
 
     @property
     def own(self) -> OwnIdentity:
         """Our own ids in the messages to it, to which it answers."""
 
-    @property
-    def waits(self) -> Waits:
-        """The answers that are awaited from it."""
+    waits: Waits
+    """The answers that are awaited from it."""
 
-    @property
-    def state(self) -> VehicleState:
-        """The latest state."""
+    state: VehicleState
+    """The latest state."""
 
     @property
     def silent(self) -> bool:

@@ -1,7 +1,5 @@
 """Messages that a vehicle needs from its links."""
 
-from __future__ import annotations
-
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 VERSION_ID = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION

@@ -67,13 +67,11 @@ class Echo:
 class Holder(Addressee, Protocol):
     """The vehicle that holds the parameters."""
 
-    @property
-    def identity(self) -> VehicleIdentity:
-        """Identity of the vehicle, which decides how it encodes values."""
+    identity: VehicleIdentity
+    """Identity of the vehicle, which decides how it encodes values."""
 
-    @property
-    def pace(self) -> Pace:
-        """Pace of its answers."""
+    pace: Pace
+    """Pace of its answers."""
 
     @property
     def way(self) -> str:
