@@ -24,6 +24,7 @@ from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.settings import Settings
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store.rows import EventRow, SnapshotPurpose
+from tests.vehicles import first_vehicle
 
 LIMIT_S = 60.0
 GIVE_UP_S = 900.0
@@ -129,7 +130,7 @@ async def _listen(service: Service, heard: list[EventRow]) -> None:
 async def _carried(service: Service) -> Job:
     (link,) = service.links.all()
     async with asyncio.timeout(GIVE_UP_S):
-        vehicle = await service.vehicles.wait_for_vehicle(link)
+        vehicle = await first_vehicle(service.vehicles, link)
         job = await service.jobs.submit(vehicle.id, "gyro")
         job = await _until(service, job.id)
         if job.state is not JobState.REVIEW or job.plan is None:

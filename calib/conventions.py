@@ -18,12 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 
 @dataclass(frozen=True, eq=False)

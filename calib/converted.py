@@ -18,7 +18,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.conventions import accelcal_from_model, imu_tk_from_model, kalibr_from_model, magcal_from_model
@@ -29,10 +28,8 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.rotations import rotation_angle
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 _EXACT = 1e-9  # rad, or of a matrix of the order of one
 

@@ -75,23 +75,6 @@ class EarthField:
             raise InvalidInputError(f"standard deviation of a field strength cannot be {self.norm_sd} uT")
         object.__setattr__(self, "north_east_down", vector)
 
-    @classmethod
-    def from_elements(
-        cls, norm: float, inclination: float, declination: float = 0.0, norm_sd: float = 0.0, model: str = "given"
-    ) -> EarthField:
-        """The field of strength `norm` (uT), `inclination` (rad, positive down) and `declination` (rad, east).
-
-        >>> EarthField.from_elements(50.0, math.radians(90.0)).north_east_down.round(9) + 0.0
-        array([ 0.,  0., 50.])
-        """
-        horizontal = norm * math.cos(inclination)
-        vector = (
-            horizontal * math.cos(declination),
-            horizontal * math.sin(declination),
-            norm * math.sin(inclination),
-        )
-        return cls(np.array(vector), norm_sd, model=model)
-
     @property
     def norm(self) -> float:
         """Field strength, uT."""

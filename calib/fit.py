@@ -9,17 +9,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 from mavcal.calib.summary import Summary, counted, spread
 from mavcal.calib.triad import TriadModel
 
 if TYPE_CHECKING:
     from mavcal.calib.drawing import Drawing
 
-Array = NDArray[np.float64]
 
 AXES = "xyz"
 OFFSETS = tuple(f"offset_{axis}" for axis in AXES)

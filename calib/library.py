@@ -83,7 +83,7 @@ def save_fits(fits: Sequence[FitResult], path: Path | str, recording: Recording 
     if out.suffix == HEADER:
         return _written(out, c_header(fits), len(fits))
     if out.suffix == JSON:
-        return _written(out, _json_of(fits), len(fits))
+        return _written(out, json.dumps(to_json(tuple(fits)), indent=1, allow_nan=False) + "\n", len(fits))
     if recording is None or not recording.parameters:
         raise InvalidInputError(f"{out.name} needs a recording with the vehicle's parameters; .json and .h need none")
     parameters = recording.parameters.final()
@@ -122,10 +122,6 @@ def save_report(report: GapReport, path: Path | str, recording: Recording | None
     made = exported(report, recording, target, base=simulator_of(recording, None))
     _written(out, made.text, 1)
     return (*made.not_held, *(f"doubtful: {text}" for text in made.doubtful))
-
-
-def _json_of(fits: Sequence[FitResult]) -> str:
-    return json.dumps(to_json(tuple(fits)), indent=1, allow_nan=False) + "\n"
 
 
 def _written(out: Path, text: str, count: int) -> int:

@@ -1,4 +1,4 @@
-"""The sensor equation of a three-axis sensor, and nothing else knows it.
+"""The sensor equation of a three-axis sensor, which nothing else knows, and what its uncertainty does to the attitude.
 
 ``measured = M truth + b + p(T)`` and ``corrected = C (measured - b - p(T))`` with ``C = M^-1``.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -127,3 +128,33 @@ class TriadModel:
         if temperature is None:
             raise InvalidInputError("this model depends on temperature: give the temperature of every sample")
         return self.offset + self.polynomial(temperature)
+
+
+def tilt_sd_deg(model: TriadModel, covariance: Array, gravity: float) -> float:
+    """Standard deviation of the level that an accelerometer's `model` gives, degrees, in the worst direction.
+
+    ``da = dC C^-1 a - C db`` with ``a = (0, 0, -g)``: its horizontal part over g is the tilt. A rotation of the whole
+    sensor against the vehicle is not in it: no pose shows it.
+
+    Parameters
+    ----------
+    model
+        Offset and matrix; no thermal part.
+    covariance : shape (12, 12) or more
+        Covariance of offset and matrix, in the order of :func:`calib.fit.parameter_names`.
+    gravity
+        Length of the corrected vector.
+    """
+    level = np.linalg.solve(model.matrix, np.array([0.0, 0.0, -gravity]))
+    rows = np.hstack([-model.matrix, np.kron(np.eye(3), level)])[:2]
+    variance = rows @ covariance[:12, :12] @ rows.T
+    return math.degrees(math.sqrt(max(float(np.linalg.eigvalsh(variance)[-1]), 0.0)) / gravity)
+
+
+def drift_sd_deg_per_min(model: TriadModel, covariance: Array) -> float:
+    """Standard deviation of the angle that a gyroscope's offset makes in a minute, degrees, about the worst axis.
+
+    `covariance` (12, 12) or more is that of offset and matrix, the matrix in rad/s per unit of the sensor.
+    """
+    rate = model.matrix @ covariance[:3, :3] @ model.matrix.T
+    return math.degrees(60.0 * math.sqrt(max(float(np.linalg.eigvalsh(rate)[-1]), 0.0)))

@@ -27,7 +27,7 @@ MODULES = {
 }  # fmt: skip
 """The module of each kind of job."""
 SHARED = {
-    "All procedures": ("base", "intake", "motion", "roster", "results", "protocol"),
+    "All procedures": ("base", "intake", "motion", "roster", "protocol"),
     "Poses": ("poses", "pose_fit"),
     "Compasses": ("mag_track",),
 }

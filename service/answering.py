@@ -1,4 +1,4 @@
-"""Answers requests to a service of this process, on a port of its own, without a server's signals and loops."""
+"""Serves HTTP for a service of this process on a port of its own, without the signals and the loop of a server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Computations on uploads: fits and gap diagnoses, each in a child process with limits."""
+"""Fits and gap diagnoses of uploads, each in a child process with limits."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
 from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
-from mavcal.calib.report import from_json
+from mavcal.calib.report import Json, from_json
 from mavcal.service.children import DIAGNOSE, FIT, Limits, Runs
 from mavcal.service.errors import UploadError
 from mavcal.service.jobs.uploads.computations import Diagnosis, ProgressCallback
 from mavcal.service.recordings import Recordings, without_path
 from mavcal.service.store.rows import JobDocument, RecordingRow
-
-Json = dict[str, Any]
 
 REPORT, PAGE = "report.json", "report.html"
 """Documents of a gap diagnosis: the report, and the same as a page."""

@@ -1,4 +1,4 @@
-"""What is counted of a running service, as Prometheus reads it; loaded when it is first asked for."""
+"""Metrics of a running service for Prometheus; loaded when they are first asked for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What answers while the application is loaded: the panel's page and its files, and that the process lives.
+"""Answers while the application is being loaded: the panel's page and files, and that the process lives.
 
 Loading takes a second of a processor, and half a minute on one that is busy. Requests of the page are answered at
 once; all others wait until the application can answer them itself.

@@ -31,7 +31,7 @@ LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
 
 @dataclass(frozen=True)
 class Fix:
-    """What came of one calibration."""
+    """Outcome of one calibration."""
 
     kind: Fixable
     job_id: str
@@ -68,22 +68,19 @@ class PlannedChange(Protocol):
     @property
     def sensor(self) -> str | None:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
     @property
     def instance(self) -> int:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
     @property
     def needs_reboot(self) -> bool:
         """See :class:`calib.firmware.plan.Change`."""
-        ...
 
 
 @dataclass(frozen=True)
 class Late:
-    """Sensors that stay as they are, because their change would act only after a restart of the vehicle."""
+    """Sensors left as they are, because their change would act only after a restart of the vehicle."""
 
     keys: tuple[str, ...] = ()
     at_once: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The hands that move simulated vehicles: they follow the prompts of jobs, or a person who turns one in the panel."""
+"""Moves simulated vehicles: by the prompts of jobs, or as a person turns one in the panel."""
 
 from __future__ import annotations
 

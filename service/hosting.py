@@ -1,4 +1,4 @@
-"""The application inside the process of a command: on a loopback port, with a key of its own, while it runs."""
+"""Runs the application in the process of a command, on a loopback port with a key of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Has a process end when another one ends, even if that one is killed without a word."""
+"""Ends this process when another one ends, even if that one is killed."""
 
 from __future__ import annotations
 

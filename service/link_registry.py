@@ -31,11 +31,9 @@ class LinkOwnership(Protocol):
 
     async def claim(self, link_id: str) -> None:
         """Acquire the link. Raises LinkElsewhere."""
-        ...
 
     async def release(self, link_id: str) -> None:
         """Release the link to other instances."""
-        ...
 
 
 class EveryLink:

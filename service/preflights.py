@@ -19,7 +19,7 @@ from functools import partial
 
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight.check import CheckId, Report
+from mavcal.calib.preflight.check import CheckId, Report, Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.preflight.collect import (
     SENSORS,
     Gathered,
@@ -35,7 +35,6 @@ from mavcal.calib.preflight.installed import STREAMED, announced
 from mavcal.calib.preflight.rest import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
-from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError

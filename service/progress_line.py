@@ -1,4 +1,4 @@
-"""The progress of a computation as the one line that a child process prints: what it does, and the numbers of a bar."""
+"""Progress of a computation as one line that a child process prints: its step, and the numbers of a bar."""
 
 from __future__ import annotations
 

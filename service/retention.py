@@ -17,7 +17,6 @@ import structlog
 from mavcal.service.errors import StoreError
 from mavcal.service.link.link import Link
 from mavcal.service.settings import RetentionSettings
-from mavcal.service.store.rows import RecordingRow
 from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)
@@ -79,7 +78,9 @@ class Retention:
 
     def _items(self, needed: set[str], held: set[Path]) -> list[Removable]:
         """Everything that may go: no upload of a job or diagnosis, no log with a segment of any job."""
-        uploads = [_upload(row) for row in self.store.recordings() if row.id not in needed]
+        uploads = [
+            Removable(row.path, row.at, row.size, row.id) for row in self.store.recordings() if row.id not in needed
+        ]
         evidence = {path.resolve() for path in (*self.store.segment_paths(), *held)}
         logs = (path for path in self.tlog_dir.glob("*.tlog") if path.resolve() not in evidence)
         return [*uploads, *filter(None, map(_log, logs))]
@@ -110,10 +111,6 @@ def _beyond(oldest_first: list[Removable], now: float, days: float | None, size:
             going.append(item)
             total -= item.size
     return going
-
-
-def _upload(row: RecordingRow) -> Removable:
-    return Removable(row.path, row.at, row.size, row.id)
 
 
 def _log(path: Path) -> Removable | None:

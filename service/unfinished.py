@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.core.journal import Sent, as_heard, fold
 from mavcal.service.jobs.core.model import Failure, Job, Outcome, Standing
@@ -90,17 +89,13 @@ def _sentence(text: str) -> str:
 
 def _restored(sent: Sent) -> str:
     if sent.confirmed == sent.old:
-        return f"{sent.name} is back at {_number(sent.old)}"
-    return f"{sent.name} holds {_number(sent.confirmed)}; before the job it was {_number(sent.old)}"
+        return f"{sent.name} is back at {shown(sent.old)}"
+    return f"{sent.name} holds {shown(sent.confirmed)}; before the job it was {shown(sent.old)}"
 
 
 def _doubt(s: Standing) -> str:
-    intended = f"{s.name}: {_number(s.old)} before, {_number(s.new)} intended"
+    intended = f"{s.name}: {shown(s.old)} before, {shown(s.new)} intended"
     if s.value is None:
         return f"{intended}, not heard since"
     certain = "certain" if s.certain else s.note or "uncertain"
-    return f"{intended}, last heard as {_number(s.value)} ({certain})"
-
-
-def _number(value: Value | None) -> str:
-    return "unknown" if value is None else shown(value)
+    return f"{intended}, last heard as {shown(s.value)} ({certain})"

@@ -24,6 +24,7 @@ from mavcal.service.store.sql import Store
 from mavcal.service.vehicle.job_vehicle import VehicleSource
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
+from tests.vehicles import first_vehicle
 
 POLL_S = 0.01
 FOUND_S = 30.0
@@ -115,7 +116,7 @@ async def session(
         link = await more(sim.url)
         await engine.start()
         async with asyncio.timeout(FOUND_S):
-            vehicle = await registry.wait_for_vehicle(link)
+            vehicle = await first_vehicle(registry, link)
         yield Session(engine, vehicle, Operator(sim), more, close)
     finally:
         await engine.stop()

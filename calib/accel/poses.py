@@ -11,17 +11,15 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.norm_fit import (
     NEUTRAL,
     PAIRS,
@@ -39,9 +37,7 @@ from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.stats.windows import finite_rows
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import TriadModel, tilt_sd_deg
 
 POSES_METHOD = "accel-multi"
 ONE_AXIS_METHOD = "accel-one-axis"
@@ -250,7 +246,15 @@ def _result(
         partial=bool(left.unknown),
         warnings=warnings,
         quality={
-            **_quality(problem, solution, chi2, dof, p_value),
+            **residual_statistics(solution.residuals, max(dof, 0), 1.0),
+            "poses": len(solution.lengths),
+            "chi2": chi2,
+            "dof": dof,
+            "p_value": p_value,
+            "worst_pose": int(np.argmax(np.abs(solution.residuals))),
+            "pose_residuals": (problem.gravity * solution.lengths).tolist(),
+            "pose_residuals_sd": solution.residuals.tolist(),
+            "gravity": problem.gravity,
             "attitude_sd_deg": tilt_sd_deg(model, full, problem.gravity),
         },
         native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": left.form},
@@ -300,22 +304,6 @@ def _contradiction(solution: NormSolution, poses: Sequence[PoseMean], p_value: f
         f"the poses contradict each other (p = {p_value:.1e}; the sd is inflated to their scatter): pose {worst + 1}, "
         f"{pose.start:.1f} to {pose.end:.1f} s, is off most; take it again, or find what bends or shakes"
     )
-
-
-def _quality(
-    problem: NormProblem, solution: NormSolution, chi2: float, dof: int, p_value: float | None
-) -> dict[str, Any]:
-    return {
-        **residual_statistics(solution.residuals, max(dof, 0), 1.0),
-        "poses": len(solution.lengths),
-        "chi2": chi2,
-        "dof": dof,
-        "p_value": p_value,
-        "worst_pose": int(np.argmax(np.abs(solution.residuals))),
-        "pose_residuals": (problem.gravity * solution.lengths).tolist(),
-        "pose_residuals_sd": solution.residuals.tolist(),
-        "gravity": problem.gravity,
-    }
 
 
 def check_assumed(gravity: float, cross_sd: float | None) -> None:

@@ -13,19 +13,16 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 METHOD = "rest-reference"
 SAMPLES = 100

@@ -14,19 +14,15 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib.accel.faces import CONVENTIONS, Convention, Face, directions_of, recognised_gravity
-from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.c_array import homogeneous
 from mavcal.calib.conventions import accelcal_from_model
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder, FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import TriadModel, tilt_sd_deg
 
 METHOD = "accel-six-face"
 Form = Literal["accelcal", "forward"]

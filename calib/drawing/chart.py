@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib.drawing.legend import ROW, Key, above, inside
-from mavcal.calib.drawing.picture import dotted, svg, text
+from mavcal.calib.drawing.picture import Array, dotted, svg, text
 from mavcal.calib.drawing.scale import runs_inside, shares, ticks
-
-Array = NDArray[np.float64]
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 40, 38
 

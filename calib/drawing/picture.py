@@ -29,16 +29,13 @@ class Picture(Protocol):
     @property
     def width(self) -> int:
         """Width of the frame."""
-        ...
 
     @property
     def height(self) -> int:
         """Height of the frame."""
-        ...
 
     def body(self) -> Markup:
         """Everything within the frame."""
-        ...
 
 
 def text(x: float, y: float, words: str, *, anchor: str = "start", kind: str = "") -> Markup:

@@ -8,13 +8,10 @@ from typing import Final
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from mavcal.calib.drawing.legend import Key, above
-from mavcal.calib.drawing.picture import dotted, text
+from mavcal.calib.drawing.picture import Array, dotted, text
 from mavcal.calib.drawing.scale import ticks
-
-Array = NDArray[np.float64]
 
 _AZIMUTH, _ELEVATION = np.radians(-60.0), np.radians(30.0)
 _RIGHT: Final = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])

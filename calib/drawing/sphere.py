@@ -6,11 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
-from mavcal.calib.drawing.picture import dotted, text
-
-Array = NDArray[np.float64]
+from mavcal.calib.drawing.picture import Array, dotted, text
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Ids: the unique one of a flight controller, and a part's, which tells bus, address and type (FLIGHT_CONTROLLERS 1.5).
+"""The unique id of a flight controller, and the device id of a part: bus, address and type (FLIGHT_CONTROLLERS 1.5).
 
 Both firmwares pack a device id alike and number the types differently, so an id is read with its autopilot's table. It
 names no single part: an equal board has equal ids.

@@ -1,4 +1,4 @@
-"""Parameter files of the ground stations: written with nine digits or more, and read back.
+"""Parameter files of the ground stations: written with nine digits or more.
 
 =========  ===================================================================================================
 .param     Mission Planner: ``NAME,VALUE``; ``#`` begins a comment
@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from mavcal.calib.errors import FirmwareError, UnreadableError
+from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.plan import Change, ParameterKind, Value, WritePlan
 
 
@@ -43,7 +43,6 @@ MAV_PARAM_TYPE: Final[Mapping[ParameterKind, int]] = MappingProxyType(
         ParameterKind.REAL32: 9,
     }
 )
-_REAL_TYPES = (9, 10)
 
 
 def number(value: Value) -> str:
@@ -60,7 +59,7 @@ def number(value: Value) -> str:
     return short if np.float32(short) == single and len(short) < len(text) else text
 
 
-def write_plan(plan: WritePlan, form: ParameterFormat, *, system: int = 1, component: int = 1) -> str:
+def write_plan(plan: WritePlan, form: ParameterFormat) -> str:
     """The plan as a parameter file, session settings left out, in the order of writing.
 
     Raises
@@ -81,7 +80,7 @@ def write_plan(plan: WritePlan, form: ParameterFormat, *, system: int = 1, compo
     if form == ParameterFormat.PARAMS:
         head += ["# Onboard parameters", "#", "# Vehicle-Id Component-Id Name Value Type"]
     line = _WRITERS[form]
-    return "\n".join([*(h.replace("\n", " ") for h in head), *(line(c, system, component) for c in changes)]) + "\n"
+    return "\n".join([*(h.replace("\n", " ") for h in head), *(line(c) for c in changes)]) + "\n"
 
 
 def write_export(plan: WritePlan, path: Path) -> None:
@@ -97,11 +96,6 @@ def write_export(plan: WritePlan, path: Path) -> None:
     path.write_text(write_plan(plan, _form_of(path)), encoding="utf-8")
 
 
-def read_export(path: Path) -> dict[str, Value]:
-    """The values of a parameter file in the format of its ending; errors as :func:`read_parameters`."""
-    return read_parameters(path.read_text(encoding="utf-8"), _form_of(path))
-
-
 def _form_of(path: Path) -> ParameterFormat:
     try:
         return ParameterFormat(path.suffix.removeprefix("."))
@@ -111,79 +105,25 @@ def _form_of(path: Path) -> ParameterFormat:
         ) from error
 
 
-def read_parameters(text: str, form: ParameterFormat) -> dict[str, Value]:
-    """The values of a parameter file; whole numbers are integers where the format does not say otherwise.
-
-    Raises
-    ------
-    UnreadableError
-        If a line is not of that format, or a value is not a finite number.
-    """
-    values: dict[str, Value] = {}
-    for place, raw in enumerate(text.splitlines(), start=1):
-        line = raw.split("#", 1)[0].strip()
-        if not line:
-            continue
-        try:
-            name, value = _READERS[form](line)
-        except (ValueError, OverflowError) as error:
-            raise UnreadableError(f"line {place} is not of a .{form} file: {raw.strip()[:60]!r}") from error
-        if not np.isfinite(value):
-            raise UnreadableError(f"line {place}: {name} is {value}; a parameter must be a finite number")
-        values[name] = value
-    return values
-
-
 def _comment(change: Change) -> str:
     old = "not listed" if change.old is None else number(change.old)
     spread = "" if change.sd is None else f", sd {change.sd:.3g}"
     return f"# was {old}{spread}: {change.why}"
 
 
-def _param(change: Change, system: int, component: int) -> str:
+def _param(change: Change) -> str:
     return f"{_comment(change)}\n{change.name},{number(change.new)}"
 
 
-def _parm(change: Change, system: int, component: int) -> str:
+def _parm(change: Change) -> str:
     return f"{change.name:<16} {number(change.new)}  {_comment(change)}"
 
 
-def _params(change: Change, system: int, component: int) -> str:
-    fields = (system, component, change.name, number(change.new), MAV_PARAM_TYPE[change.kind])
+def _params(change: Change) -> str:
+    fields = (1, 1, change.name, number(change.new), MAV_PARAM_TYPE[change.kind])
     return f"{_comment(change)}\n" + "\t".join(map(str, fields))
 
 
-def _read_param(line: str) -> tuple[str, Value]:
-    name, value = (part.strip() for part in line.split(","))
-    return _name(name), _value(value)
-
-
-def _read_parm(line: str) -> tuple[str, Value]:
-    name, value = line.replace(",", " ").split()
-    return _name(name), _value(value)
-
-
-def _read_params(line: str) -> tuple[str, Value]:
-    _, _, name, value, kind = line.split("\t")
-    return _name(name), float(value) if int(kind) in _REAL_TYPES else int(float(value))
-
-
-def _name(text: str) -> str:
-    if not 0 < len(text) <= 16 or not text.replace("_", "").isalnum():
-        raise ValueError(text)
-    return text
-
-
-def _value(text: str) -> Value:
-    try:
-        return int(text)
-    except ValueError:
-        return float(text)
-
-
-_WRITERS: Final[Mapping[ParameterFormat, Callable[[Change, int, int], str]]] = MappingProxyType(
+_WRITERS: Final[Mapping[ParameterFormat, Callable[[Change], str]]] = MappingProxyType(
     {ParameterFormat.PARAM: _param, ParameterFormat.PARM: _parm, ParameterFormat.PARAMS: _params}
-)
-_READERS: Final[Mapping[ParameterFormat, Callable[[str], tuple[str, Value]]]] = MappingProxyType(
-    {ParameterFormat.PARAM: _read_param, ParameterFormat.PARM: _read_parm, ParameterFormat.PARAMS: _read_params}
 )

@@ -14,12 +14,10 @@ from typing import Final
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware.plan import Agreement
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
-Array = NDArray[np.float64]
 Judged = tuple[Array, Array]
 """A change (n,) and the covariance of the estimate over it (n, n)."""
 

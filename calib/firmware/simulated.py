@@ -1,4 +1,4 @@
-"""Whether a vehicle is a simulator: what its own firmware says that no firmware on a flying vehicle does.
+"""Tells a simulator from a flying vehicle by what only a simulator's firmware says of itself.
 
 ArduPilot has ``SIM_SPEEDUP`` only where it was built to simulate (``AP_SIM_ENABLED``: ArduCopter/Parameters.cpp,
 boards.py). Such a build may also run on a flight controller and drive its outputs (``SIM_OH_MASK``); that one states

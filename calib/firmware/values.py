@@ -47,12 +47,14 @@ PX4_DEFAULTS: Final = (
 """Defaults of PX4's floats that a calibration writes (module.yaml and sensor_params*.c of its module sensors)."""
 
 
-def shown(value: Value, digits: int = 9) -> str:
-    """A parameter's value as a person reads it; an integer stays one, however many digits it has.
+def shown(value: Value | None, digits: int = 9) -> str:
+    """A parameter's value as a person reads it; an integer stays one, however many digits it has; None: not known.
 
     >>> shown(2147483647), shown(0.1), shown(1310988, 6), shown(float(np.float32(0.1)), 6)
     ('2147483647', '0.1', '1310988', '0.1')
     """
+    if value is None:
+        return "unknown"
     return str(value) if isinstance(value, int) else f"{value:.{digits}g}"
 
 

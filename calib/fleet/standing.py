@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fleet.record import BIAS_LIMITS, BiasObservation, SensorRecord, history_of_part, newest_by_place
@@ -25,9 +24,8 @@ from mavcal.calib.fleet.trend import DAY_S, Leaving, Open, Quantity, Trend, bias
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import CheckId, Verdict
 from mavcal.calib.preflight.history import Covered
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
-Array = NDArray[np.float64]
 NAMES: Final = MappingProxyType({Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyroscope", Sensor.MAG: "compass"})
 TREATED: Final[Mapping[CheckId, tuple[Sensor, ...]]] = MappingProxyType(
     {

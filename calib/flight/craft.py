@@ -1,4 +1,4 @@
-"""What kind of vehicle it is, and what its moving is called: only aircraft fly."""
+"""The kind of a vehicle, and the word for its motion: only aircraft fly."""
 
 from __future__ import annotations
 

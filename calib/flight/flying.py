@@ -1,4 +1,4 @@
-"""What the inertial sensors went through in flight: vibration, clipping, and whether redundant ones agree in scale."""
+"""Checks the inertial sensors in flight: vibration, clipping, and whether redundant units agree in scale."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from itertools import combinations, pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
@@ -15,11 +14,9 @@ from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan
-from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Event, Oddity, Recording, Sensor, Stage
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 FULL_SCALE: Final = 156.9
 """16 g, m/s2: the range that autopilots set."""
@@ -103,7 +100,7 @@ def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array
     """Frequencies (F,) and power density (F, 3) over the flown spans, pauses left out; None: too short or too slow."""
     runs = []
     for span in flown:
-        part = _usable(channel.between(span.start, span.end))
+        part = usable(channel.between(span.start, span.end))
         if len(part) > 1:
             period = float(np.median(np.diff(part.t)))
             cuts = np.flatnonzero(np.diff(part.t) > _PAUSE * period) + 1
@@ -123,11 +120,11 @@ def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array
     return (frequency, total / weight) if weight else None
 
 
-def _usable(part: Channel) -> Channel:
-    """The finite samples with increasing times; `part` itself if all are."""
-    good = finite_rows(part.values)
-    good[1:] &= part.t[1:] > part.t[:-1]
-    return part if good.all() else part.take(good)
+def usable(channel: Channel) -> Channel:
+    """The finite samples with increasing times; `channel` itself if all are."""
+    good = finite_rows(channel.values)
+    good[1:] &= channel.t[1:] > channel.t[:-1]
+    return channel if good.all() else channel.take(good)
 
 
 def _welch(run: Channel, at: Array, rate: float, window: int) -> tuple[Array, Array]:

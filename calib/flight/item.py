@@ -1,4 +1,4 @@
-"""One thing that a log was judged by: its number, the limit, and where the limit is from."""
+"""One check of a log: its number, the limit and the source of the limit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class FlightVerdict(StrEnum):
-    """What became of an item; the worst one is a log's."""
+    """Verdict on one check; the worst one is that of the log."""
 
     PASS = "pass"  # noqa: S105  a verdict
     NOT_TESTABLE = "not_testable"  # the text says why
@@ -21,7 +21,7 @@ class FlightVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class FlightLimit:
-    """Where a number begins to matter, and where the vehicle should not fly with it; `source` says whose limits."""
+    """Beyond `warn` a number is suspicious, beyond `fail` the vehicle should not fly; `source` says whose limits."""
 
     warn: float
     fail: float

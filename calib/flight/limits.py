@@ -1,4 +1,4 @@
-"""The limits that a flight is judged by, each with where it is from; :mod:`calib.health` shares some."""
+"""Limits for the checks of a flight, each with its source; :mod:`calib.health` shares some."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sanity of a log's inertial sensors in one document."""
+"""All checks of the inertial sensors of a log in one document."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ORDER = (FlightVerdict.PASS, FlightVerdict.NOT_TESTABLE, FlightVerdict.WARN, Fl
 
 @dataclass(frozen=True)
 class FlightReport:
-    """What became of every item, and when the vehicle rested and flew."""
+    """Verdicts on all checks, and the times of rest and of flight."""
 
     ground: Ground
     rests: tuple[Rest, ...]

@@ -1,4 +1,4 @@
-"""When a vehicle stood on the ground with its motors off, and was still.
+"""Finds when a vehicle stood still on the ground with its motors off.
 
 Stillness alone does not tell: a good multicopter that hovers in calm air passes for still. What the autopilot said of
 arming counts, or its motor outputs; where neither was recorded, stillness is all there is, and every rest says so.
@@ -47,7 +47,7 @@ class Phase(StrEnum):
 
 
 class Known(StrEnum):
-    """By what it is known that the motors were off."""
+    """Evidence that the motors were off."""
 
     ARMING = "arming"
     MOTORS = "motors"
@@ -77,7 +77,7 @@ class Rest(TimeSpan):
 
 @dataclass(frozen=True)
 class Ground:
-    """When the motors were off, when they ran, and how that is known."""
+    """Times with the motors off and on, with the evidence."""
 
     off: tuple[TimeSpan, ...]
     running: tuple[TimeSpan, ...]

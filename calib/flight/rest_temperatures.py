@@ -14,11 +14,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.in_force.fingerprint import SENSOR_IDS
 from mavcal.calib.flight.rest import Known, Rest, rests
 from mavcal.calib.procedures.drift_fit import SHORTEST, DriftPool
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.drift import DriftData
-
-Array = NDArray[np.float64]
 
 _TICK = 0.25
 """Length of the cells that samples are averaged over, s: temperature and drift are straight lines through them."""

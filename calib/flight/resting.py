@@ -1,4 +1,4 @@
-"""What the inertial sensors read while the vehicle stood still: gravity, bias and its drift, level, each against each.
+"""Checks the inertial sensors at rest: gravity, bias and its drift, level, and whether units agree.
 
 All with the calibration in force: a log is judged as the autopilot took it.
 """
@@ -11,7 +11,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
@@ -22,11 +21,9 @@ from mavcal.calib.flight import limits
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import SHORTEST, Rest, how_to_rest, why_no_rest
-from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.recording import Array, Recording, Sensor
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _LEAST = 32  # samples of a mean
 _CLEARLY = 3.0  # times the error of the other one

@@ -1,4 +1,4 @@
-"""The sensors of a recording as series that a picture can hold: extremes are kept, however long it is."""
+"""The sensors of a recording, thinned for a picture; extremes are kept."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.recording import Channel, Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 POINTS: Final = 600
 """Most points of a series: two for each column of pixels of a narrow picture."""

@@ -1,4 +1,4 @@
-"""Drift with temperature from ordinary logs: the rests on the ground, several logs of one vehicle pooled.
+"""Drift with temperature from the rests in ordinary logs, pooled over several logs of one vehicle.
 
 What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
 it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of
@@ -25,12 +25,11 @@ from mavcal.calib.fit import AXES, FitBuilder, FitResult, FitStatus
 from mavcal.calib.flight.rest import ground
 from mavcal.calib.flight.rest_temperatures import Log, RestTemperatures, difference, rest_temperatures
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.drift import DriftData
 from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, PolynomialOptions, fit_drift_data, fit_linear
 
-Array = NDArray[np.float64]
 STEADY = {Sensor.ACCEL: 0.02, Sensor.GYRO: float(np.radians(0.05))}
 """Drift over the span, m/s2 and rad/s, below which a unit may be a reference: what a thermal calibration is asked to
 leave (defaults of the calibration's length)."""

@@ -11,20 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.errors import InvalidInputError, require_positive
 from mavcal.calib.fit import AXES, FitBuilder, FitResult
 from mavcal.calib.gyro.rest import LARGEST_BIAS
 from mavcal.calib.gyro.turns import EARTH_RATE, usable
 from mavcal.calib.imu.poses import Poses, measure
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min
 
 METHOD = "gyro-g-sensitivity"
 MOVEMENT = "rest it on each of its six sides for ten seconds or more, and once more in the opposite order"

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min
 
 PLAUSIBLE_BIAS = 0.1
 """Rate at rest, rad/s (5.7 deg/s), above which a gyroscope alone is not believed to be at rest. Consumer gyroscopes are

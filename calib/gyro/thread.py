@@ -11,17 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.gyro.turns import Turn, fit_turns, usable
-from mavcal.calib.recording import Channel, Segment
+from mavcal.calib.recording import Array, Channel, Segment
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import occupied_starts, window_statistics
-
-Array = NDArray[np.float64]
 
 METHOD = "gyro-thread"
 MOVEMENT = "let it turn on the thread by whole turns one way, and by as many the other way"

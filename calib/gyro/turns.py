@@ -12,18 +12,14 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.quantisation import with_apparent_quantum
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min
 
 EARTH_RATE = 7.292115e-5
 """Turn of the Earth against the stars, rad/s (WGS 84)."""

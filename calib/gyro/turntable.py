@@ -6,16 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.gyro.turns import EARTH_RATE, Turn, fit_turns, usable
-from mavcal.calib.recording import Channel, Segment
+from mavcal.calib.recording import Array, Channel, Segment
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows, occupied_starts, window_statistics
-
-Array = NDArray[np.float64]
 
 METHOD = "gyro-turntable"
 MOVEMENT = "turn it on the table about each axis at a steady rate, five seconds or more, both ways"

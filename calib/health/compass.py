@@ -1,4 +1,4 @@
-"""Compasses: unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
+"""Checks compasses: steadiness, the motors' field, the World Magnetic Model, and whether units agree."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.health import limits, motion
+from mavcal.calib.flight.flying import usable
+from mavcal.calib.health import limits
 from mavcal.calib.health.channels import judged_channel, never_calibrated, why_unjudged
 from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.support import Support, support_of
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
 _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."
@@ -53,7 +51,7 @@ def compass_findings(recording: Recording, support: Support | None = None) -> It
                 "field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, why_unjudged(recording, Sensor.MAG, instance)
             )
             continue
-        channel = motion.usable(streamed)
+        channel = usable(streamed)
         found[instance] = channel
         driven = _driven(recording, channel, attitude)
         if driven is not None:
@@ -207,7 +205,7 @@ def _dip(channel: Channel, attitude: Channel) -> float | None:
 
 def _down(channel: Channel, attitude: Channel) -> Array | None:
     """Down in the body's axes at the samples of `channel`, (N, 3); None: the attitude covers too little of them."""
-    q = motion.usable(attitude)
+    q = usable(attitude)
     if len(q) < 2 or q.t[0] > channel.t[len(channel) // 4] or q.t[-1] < channel.t[-len(channel) // 4]:
         return None
     down = Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]

@@ -1,4 +1,4 @@
-"""Accelerometers and gyroscopes: gravity, drift while motionless, offset against the attitude, unit against unit."""
+"""Checks accelerometers and gyroscopes: gravity, drift at rest, offset from the attitude, agreement of units."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.craft import craft_of
+from mavcal.calib.flight.flying import usable
 from mavcal.calib.flight.rest import TimeSpan, too_slow
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
@@ -23,8 +23,6 @@ from mavcal.calib.health.support import Support, support_of
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.still_limits import RESTING, StillnessLimits
 from mavcal.calib.stats.stillness import Still, find_still
-
-Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
@@ -129,7 +127,7 @@ def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ..
 
 def _still_means(channel: Channel, laid: Sequence[Still]) -> motion.WindowMeans:
     """One mean a motionless span."""
-    parts = [motion.usable(channel.between(span.start, span.end)) for span in laid]
+    parts = [usable(channel.between(span.start, span.end)) for span in laid]
     kept = [part for part in parts if len(part) > 3]
     if not kept:
         return motion.WindowMeans(np.zeros(0), np.zeros((0, 3)))

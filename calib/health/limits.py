@@ -1,4 +1,4 @@
-"""The limits of the health checks, each with where it is from; what a flight's sanity shares is its own."""
+"""Limits of the health checks, each with its source; those that :mod:`calib.flight` shares stand there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mavcal.calib.flight.item import FlightLimit, worded_bounds
 
 @dataclass(frozen=True)
 class HealthLimit:
-    """Where a number becomes suspicious, and where the sensor is faulty; `source` says whose limits.
+    """Limits beyond which a number is suspicious, and the sensor faulty; `source` says whose limits.
 
     `faulty` is None where such a number alone calls no sensor faulty.
     """

@@ -15,15 +15,13 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.recording import Channel
+from mavcal.calib.flight.flying import usable
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.stillness import Still
-from mavcal.calib.stats.windows import finite_rows
 
-Array = NDArray[np.float64]
 WINDOW_S: Final = 10.0
 LEAST_WINDOWS: Final = 3
 LONGEST_STEP_S: Final = 0.5
@@ -65,13 +63,6 @@ class WindowMeans:
         return np.asarray(_MEDIAN * spread / np.sqrt(len(self.values)), dtype=np.float64)
 
 
-def usable(channel: Channel) -> Channel:
-    """The finite samples with increasing times."""
-    good = finite_rows(channel.values)
-    good[1:] &= channel.t[1:] > channel.t[:-1]
-    return channel if good.all() else channel.take(good)
-
-
 def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
     """Specific force along the vertical, m/s2: 9.8 of a good sensor, up to the change of the climb rate."""
     f, q = usable(accel), usable(attitude)
@@ -84,7 +75,7 @@ def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
 
 
 class RatePart(StrEnum):
-    """Which part of a rate: one about the vertical turns the heading, one across it the tilt."""
+    """Part of a rate: about the vertical it turns the heading, across it the tilt."""
 
     ALL = "all"
     LEVEL = "level"

@@ -1,4 +1,4 @@
-"""The health of every sensor of a log in one document, the whole log in one line, and what it lacks.
+"""Health of every sensor of a log, the verdict on the log in one line, and the data that are missing.
 
 Temperatures of the inertial units are compared with those that their calibration covers.
 """
@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from mavcal.calib.firmware.ardupilot.learning import learning_units
-from mavcal.calib.flight.flying import shaking_items
+from mavcal.calib.flight.flying import shaking_items, usable
 from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.flight.rest import ground
-from mavcal.calib.health import limits, motion
+from mavcal.calib.health import limits
 from mavcal.calib.health.compass import compass_findings
 from mavcal.calib.health.dead import dead_findings, living, never_lived
 from mavcal.calib.health.finding import (
@@ -138,7 +138,7 @@ def temperature_findings(recording: Recording) -> Iterator[HealthFinding]:
 def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFinding | None:
     """None: it has no thermometer in the log."""
     warm = next(iter(recording.find(Sensor.TEMPERATURE, instance)), None)
-    channel = None if warm is None else motion.usable(warm)
+    channel = None if warm is None else usable(warm)
     if channel is None or not len(channel):
         return None
     degrees = channel.values[:, 0]

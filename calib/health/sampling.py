@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_stream
 from mavcal.calib.firmware.stream.auxiliary import telemetry
@@ -22,8 +21,6 @@ from mavcal.calib.health.limits import STUCK
 from mavcal.calib.logs.inspection import GAP_PERIODS, STUCK_PERIODS, Gap, constant_run, pauses
 from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Channel, Oddity, Recording, Sensor, Stage
-
-Array = NDArray[np.float64]
 
 SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 _BUS: Final = "Check its bus and power; replace it if it comes back."

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.flight.flying import usable
 from mavcal.calib.health import motion
 from mavcal.calib.health.channels import judged_channel
-from mavcal.calib.recording import Channel, Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 _TILT_DEG: Final = 25.0
 """Between up and the mean force over ten seconds: more than offsets, climbs and turns of a good attitude make of it."""
@@ -49,7 +47,7 @@ def support_of(recording: Recording, attitude: Channel | None) -> Support:
     """Agreement of accelerometers and compasses with `attitude`."""
     if attitude is None:
         return Support()
-    q = motion.usable(attitude)
+    q = usable(attitude)
     if len(q) < 2:
         return Support()
     turned = Rotation.from_quat(q.values, scalar_first=True).as_matrix()
@@ -63,7 +61,7 @@ def _tilt(recording: Recording, t: Array, turned: Array) -> str:
         channel = judged_channel(recording, Sensor.ACCEL, instance)
         if channel is None:
             continue
-        channel = motion.usable(channel)
+        channel = usable(channel)
         force = _in_world(channel, t, turned)
         if force is None:
             continue
@@ -99,7 +97,7 @@ def _heading(recording: Recording, t: Array, turned: Array) -> str:
         channel = judged_channel(recording, Sensor.MAG, instance)
         if channel is None or len(channel) < 2:
             continue
-        channel = motion.usable(channel)
+        channel = usable(channel)
         if repeats(channel):
             reasons.append(f"compass {instance + 1} reads the same throughout")
             continue

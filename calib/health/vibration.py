@@ -13,19 +13,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.flight.flying import clipped_events
+from mavcal.calib.flight.flying import clipped_events, usable
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem
 from mavcal.calib.flight.rest import TimeSpan
-from mavcal.calib.health import limits, motion
+from mavcal.calib.health import limits
 from mavcal.calib.health.channels import judged_channel
 from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, judged_value, shown_sd
 from mavcal.calib.health.limits import HealthLimit
-from mavcal.calib.recording import Channel, Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 DAMP: Final = "Damp the mount, and balance the propellers."
 _WINDOW_S: Final = 1.0
@@ -95,7 +92,7 @@ def rectified(recording: Recording, shaking: Sequence[JudgedItem] = ()) -> dict[
         channel = judged_channel(recording, Sensor.ACCEL, instance)
         if channel is None:
             continue
-        good = motion.usable(channel)
+        good = usable(channel)
         one = _of(instance, *_windows(good.t, good.values), least=_least_shift(shaking, instance, len(good)))
         if one is not None:
             found[instance] = one
@@ -205,11 +202,11 @@ def _of_item(item: JudgedItem, limit: HealthLimit, action: str) -> HealthFinding
 def _in_flight(channel: Channel, flown: Sequence[TimeSpan]) -> Channel:
     """The samples with the motors on; all of them where nothing says when they were."""
     if not flown:
-        return motion.usable(channel)
+        return usable(channel)
     inside = np.zeros(len(channel), dtype=np.bool_)
     for span in flown:
         inside |= (channel.t >= span.start) & (channel.t <= span.end)
-    return motion.usable(channel.take(inside))
+    return usable(channel.take(inside))
 
 
 def _held(t: Array, level: Array) -> float:

@@ -5,8 +5,6 @@ gravity through the movements; ``problem`` joins both into one likelihood. ``wei
 its residuals deserve, and ``result`` says what is known of either sensor. :func:`calib.imu.fit.fit_imu` runs it all.
 """
 
-from __future__ import annotations
-
 from mavcal.calib.imu.fit import fit_imu
 
 __all__ = ["fit_imu"]

@@ -19,14 +19,12 @@ from mavcal.calib.imu.result import Form, RecordingFacts, imu_refused, imu_resul
 from mavcal.calib.imu.start import closure, rate_factor, rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, ImuPrior
 from mavcal.calib.imu.weighting import Weighed, weigh
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from mavcal.calib.stats.norm_fit import solve as solve_norm
 from mavcal.calib.stats.quantisation import with_apparent_quantum
 from mavcal.calib.stats.still_limits import HELD, HOLD_S, MANY_MORE, SHORTER, too_short
 from mavcal.calib.stats.windows import finite_rows, without_spikes
-
-Array = NDArray[np.float64]
 
 _LEAST_SAMPLES = 200
 _LEAST_IN_POSE = 8

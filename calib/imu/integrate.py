@@ -79,7 +79,7 @@ class Moves:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """What the movements did to the body, by one model of the gyroscope.
+    """Rotations of the body in the movements, by one model of the gyroscope.
 
     `rotations` (k, 3, 3): ``u_after = D u_before``. `sensitivity` (k, 3, 12): a change of the model (nine entries of G
     by rows, then b) turns ``D u`` by ``-psi x D u`` with ``psi = sensitivity @ change``. `noise` (k, 3, 3) is the

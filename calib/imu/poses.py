@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.geometry import frame_along, sphere_of
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.norm_fit import NormProblem, solve
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.still_limits import HOLD_S
 from mavcal.calib.stats.windows import Windows, occupied_starts, window_statistics
 
-Array = NDArray[np.float64]
 LEAST_POSES = 4
 _CLEARLY = 2.5  # times the pooled long-run variance: more than chance, the pose has noise of its own
 _SWAY = 1.3  # times the noise across gravity from which on it is sway

@@ -19,10 +19,8 @@ import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib.imu.integrate import Moves, Turns, integrate
-from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, ImuPrior, cross
+from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Array, Coordinates, ImuPrior, cross
 from mavcal.calib.stats.norm_fit import PAIRS, symmetric
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 60
 _DECREMENT = 1e-8  # of the cost, in squared standard deviations, by a step that is no longer worth another

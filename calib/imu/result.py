@@ -9,16 +9,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.imu.poses import Poses
 from mavcal.calib.imu.weighting import MISFIT, GroupFit, Weighed
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import PAIRS, symmetric
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min, tilt_sd_deg
 
-Array = NDArray[np.float64]
 Form = Literal["symmetric", "upper"]
 
 METHOD = "imu-multi"

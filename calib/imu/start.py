@@ -5,15 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.imu.integrate import integrate
 from mavcal.calib.imu.problem import ImuProblem
 from mavcal.calib.imu.unknowns import cross
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import symmetric
-
-Array = NDArray[np.float64]
 
 _COARSE = 9.0  # times the variance of a turn by noise: what the samples' rate changes is more than that
 _LEADS = float(np.radians(10.0))  # a movement that misses the next pose by less leads there

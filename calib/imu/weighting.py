@@ -19,8 +19,6 @@ from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, log_det
 from mavcal.calib.imu.unknowns import Coordinates, ImuPrior
 from mavcal.calib.stats.residuals import student_variance
 
-Array = NDArray[np.float64]
-
 MISFIT = 0.01
 """Chance below which residuals count as larger than their noise."""
 _POSES, _MOVES = 0, 1  # places of the groups

@@ -1,4 +1,4 @@
-"""Columns of numbers out of files of arrays: .npz and .mat.
+"""Reads columns of numbers from files of arrays, .npz and .mat.
 
 What an array says of itself is compared with what is there, and with what all of them will take, before any is read.
 

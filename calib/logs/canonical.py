@@ -6,13 +6,10 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Channel, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Sensor
 
 UNITS: Mapping[Sensor, Mapping[str, float]] = {
     Sensor.ACCEL: {"si": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "counts": 1.0},

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.learning import learning_warnings
 from mavcal.calib.firmware.stream.auxiliary import telemetry
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 
 GAP_PERIODS = 5.0
 """A pause this many median periods long counts as a gap."""

@@ -1,4 +1,4 @@
-"""Tables as recordings and back: the interchange format, and foreign tables with a mapping.
+"""Reads and writes recordings as tables: the interchange format, and foreign tables with a mapping.
 
 One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``; ``accel_x,y,z gyro_x,y,z
 mag_x,y,z`` (a second instance is ``accel2_x`` …); ``temperature current throttle motor_1… rotor_hz_1…``;
@@ -40,9 +40,7 @@ from mavcal.calib.logs.canonical import (
 from mavcal.calib.logs.columns import TableColumns, text_columns
 from mavcal.calib.logs.time_order import moving
 from mavcal.calib.logs.zeros import without_zeros
-from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 MOST_BYTES = 1 << 31
 """Size of the largest table that is read."""

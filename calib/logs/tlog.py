@@ -1,4 +1,4 @@
-"""Telemetry logs (.tlog) to recordings."""
+"""Reads telemetry logs (.tlog) as recordings."""
 
 from __future__ import annotations
 

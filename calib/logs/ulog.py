@@ -1,4 +1,4 @@
-"""PX4's logs (.ulg) to recordings, through pyulog."""
+"""Reads PX4's logs (.ulg) as recordings, with pyulog."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Magnetometer: offset and soft iron from turning it in the Earth's field, and how far to trust them.
+"""Offset and soft iron of a magnetometer that is turned in the Earth's field, with their uncertainty.
 
 .. code-block:: text
 
@@ -30,8 +30,6 @@ Every fit takes samples (N, 3) in order of time and the keywords of :class:`cali
 ``radius``, ``axis_ratio``  of the ellipsoid
 ==========================  =====================================================================================
 """
-
-from __future__ import annotations
 
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import deblurred, rates_during

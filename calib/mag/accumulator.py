@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.ellipsoid import FEWEST
 from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.samples import Cloud, check_not_flat, check_samples
+from mavcal.calib.mag.samples import Array, Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import Ellipsoid
 from mavcal.calib.mag.simple_fits import solve_sphere
-
-Array = NDArray[np.float64]
 
 _COVERED = 4000  # samples that are enough to know the coverage
 _ROUNDING = 1e-9  # of a cloud's distance from zero, and of its width: what is thinner is rounding, not movement

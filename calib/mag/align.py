@@ -50,9 +50,7 @@ from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
 from mavcal.calib.mag.samples import axis_word, check_not_flat, check_samples
 from mavcal.calib.mag.serial import LONGEST, weakened_information
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 METHOD = "mag-align"
 

@@ -1,4 +1,4 @@
-"""Magnetometer against the vertical, Gauss-Helmert: both observations carry noise (METHODS 3.2).
+"""Gauss-Helmert fit of a magnetometer to the vertical: both observations carry noise (METHODS 3.2).
 
 The iteration starts from one linear system, or from an ellipsoid and the rotation that it leaves open.
 
@@ -105,7 +105,7 @@ def align(
         linear = _linearised(state, field, down, now)
         if noise is None:
             now = _estimated(linear, least)
-            linear = linear.reweighted(now)
+            linear = replace(linear, noise=now)
         rows, residuals = linear.rows(), linear.whitening(linear.misclosure)
         flat = rows.reshape(-1, N_UNKNOWNS)
         information = flat.T @ flat
@@ -156,9 +156,6 @@ class _Linear:
     corrected: Array  # (N, 3)
     products: Array  # (N, 3): by_field times itself: 11, 12, 22
     noise: AlignmentNoise
-
-    def reweighted(self, noise: AlignmentNoise) -> _Linear:
-        return replace(self, noise=noise)
 
     @cached_property
     def variance(self) -> tuple[Array, Array, Array]:

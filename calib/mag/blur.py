@@ -21,12 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.samples import CHUNK
-from mavcal.calib.triad import TriadModel
+from mavcal.calib.triad import Array, TriadModel
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-Array = NDArray[np.float64]
 
 CORRECTABLE = 0.02
 """Shrinkage up to which blur is computed back; beyond (7 rad/s at 100 ms) the angle within the window is not known well

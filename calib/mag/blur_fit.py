@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
@@ -33,11 +33,9 @@ from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
-from mavcal.calib.mag.samples import Cloud, counted_as, not_repeated, still_stretches
+from mavcal.calib.mag.samples import Array, Cloud, counted_as, not_repeated, still_stretches
 from mavcal.calib.mag.shape import MagModel, correction
 from mavcal.calib.mag.shape_fit import SOFT_IRON_SD, Asked
-
-Array = NDArray[np.float64]
 
 GAIN_SD = 0.03
 """Relative, of the strength of the blur: 1 % for the mean of ten readings, and a window that is known to 1.5 %, whose

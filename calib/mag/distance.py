@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import NotConvergedError, UndeterminedError
-from mavcal.calib.mag.samples import CHUNK, Cloud
+from mavcal.calib.mag.samples import CHUNK, Array, Cloud
 from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
-
-Array = NDArray[np.float64]
 
 TUKEY = 4.685
 """Tuning constant of the bisquare weight in standard deviations: 95 % efficiency on normal noise."""
@@ -245,7 +242,7 @@ def gauss_newton(
     for _ in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
         prior = shape_prior(ellipsoid, terms.prior_sd, terms.cross_sd)
-        state = _state(ellipsoid)
+        state = np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
         belief = float(state @ prior @ state)
         allowed = (lowest + variance * lowest_belief) * _MAY_RISE + len(distances) * _ROUNDING
         if found.cost + variance * belief > allowed:
@@ -271,10 +268,6 @@ def gauss_newton(
 def score_rows(samples: Array, ellipsoid: Ellipsoid) -> Array:
     """Derivatives (9, N) of the distances of `samples` (N, 3) by the nine parameters."""
     return Distances(Cloud(samples, np.zeros(3), 1.0)).scores(ellipsoid, len(samples))
-
-
-def _state(ellipsoid: Ellipsoid) -> Array:
-    return np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
 
 
 def _residual_variance(found: Pass, tukey_scale: float | None, size: int) -> float:

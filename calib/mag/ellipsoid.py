@@ -21,12 +21,10 @@ from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.moments import Moments
 from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts, plausible_field, refusal
 from mavcal.calib.mag.robust import find_start
-from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples, real_array
+from mavcal.calib.mag.samples import NEARLY_PLANAR, Array, Cloud, check_not_flat, check_real_samples, real_array
 from mavcal.calib.mag.serial import white_variance
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid, MagModel, correction
 from mavcal.calib.mag.shape_fit import METHOD, Asked, averaged_shape, minimum, with_uncertainty
-
-Array = NDArray[np.float64]
 
 AUTO = "auto"
 

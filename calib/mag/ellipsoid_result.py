@@ -41,9 +41,7 @@ from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 WINDOW_S: Final = 0.1
 """Longest window over which a compass averages, s: ArduPilot reads out at 10 Hz, and magnetometers average inside."""
@@ -198,7 +196,14 @@ def judged_ellipsoid(
     model = correction(fit.ellipsoid, context.strength)
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
-    quality = dict(about_samples) | _quality(fit, context, model, full)
+    quality = {
+        **about_samples,
+        "dof": fit.dof,
+        "variance_inflation": fit.variance_inflation,
+        "n_outliers": fit.n_outliers,
+        "axis_ratio": float(fit.ellipsoid.radii[2] / fit.ellipsoid.radii[0]),
+        **field_quality(model, full, fit.ellipsoid.mean_radius, context.inclination, context),
+    }
     reason = _field_changed(fit, quality) or _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
@@ -288,17 +293,6 @@ def _misfits(fit: ShapeFit, quality: Mapping[str, Any]) -> bool:
     visible = quality["residual_rms"] > _VISIBLE * fit.ellipsoid.mean_radius
     excess = math.sqrt(quality["chi2"] / fit.dof)
     return bool(visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)))
-
-
-def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
-    """Figures of the ellipsoid and its covariance, for ``quality``."""
-    return {
-        "dof": fit.dof,
-        "variance_inflation": fit.variance_inflation,
-        "n_outliers": fit.n_outliers,
-        "axis_ratio": float(fit.ellipsoid.radii[2] / fit.ellipsoid.radii[0]),
-        **field_quality(model, full, fit.ellipsoid.mean_radius, context.inclination, context),
-    }
 
 
 def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:

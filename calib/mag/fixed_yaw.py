@@ -12,16 +12,13 @@ from dataclasses import dataclass
 from typing import Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.orientation import rotation_matrix
 from mavcal.calib.mag.result import CompassFit, MagContext, MagFacts, compass_result
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 METHOD = "mag-fixed-yaw"
 

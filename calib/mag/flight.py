@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any, Literal, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
@@ -24,11 +23,10 @@ from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.motor_hidden import unusable_attitude
 from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, CompassFit, MagContext, MagFacts, compass_result
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 SoftIron = Literal["auto", "held", "free"]
 
 METHOD = "mag-flight"

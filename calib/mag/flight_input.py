@@ -15,10 +15,8 @@ from mavcal.calib.mag.flight_fit import Samples
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.result import MagContext
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 MOVEMENT = "fly whole circles on the spot, and bank and pitch by 20 degrees and more in different headings"
 LEAST_SAMPLES = 50

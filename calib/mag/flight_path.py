@@ -17,9 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.geometry import quaternion_product
-from mavcal.calib.recording import Channel
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Channel
 
 ANGLE_WALK = math.radians(0.15)
 """rad/sqrt(s): what a MEMS gyroscope, sampled at 50 Hz or more on a shaking airframe, loses."""

@@ -39,13 +39,11 @@ from mavcal.calib.mag.result import (
     compass_result,
     with_strength_sd,
 )
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import symmetric
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 METHOD = "mag-gyro"
 MOVEMENT = "turn it about two axes or more, by a right angle and both ways, away from steel"

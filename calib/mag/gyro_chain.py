@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.imu.integrate import Moves
@@ -21,11 +20,9 @@ from mavcal.calib.imu.start import rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import Coordinates, ImuPrior
 from mavcal.calib.imu.weighting import groups
 from mavcal.calib.mag.result import MagContext
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, symmetric
 from mavcal.calib.stats.residuals import residual_statistics
-
-Array = NDArray[np.float64]
 
 RIGID = Coordinates(np.zeros(0, dtype=np.intp), rigid=True)
 FREE_GYRO_MATRIX = Coordinates(np.zeros(0, dtype=np.intp))

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 DEFAULT_INCLINATION = math.radians(60.0)
 """Dip that is assumed where the place is unknown: middle latitudes, rad."""

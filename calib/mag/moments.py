@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.mag.samples import CHUNK, Cloud, check_not_flat, check_real_samples
+from mavcal.calib.mag.samples import CHUNK, Array, Cloud, check_not_flat, check_real_samples
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
-
-Array = NDArray[np.float64]
 
 POWERS = np.array(
     [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]

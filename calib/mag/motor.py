@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
@@ -27,11 +26,9 @@ from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log, unusable_attitude
 from mavcal.calib.mag.motor_text import disagreement, terms_text
 from mavcal.calib.mag.result import CompassFit, MagContext, MagFacts, compass_result
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 MOVEMENT = "record from before the motors start, then hover, climb and descend, so that the current changes"
 _LEAST_GAIN = 0.1  # of the residual of hidden samples: less is not worth a parameter

@@ -7,12 +7,9 @@ from enum import StrEnum
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 METHOD = "mag-motor"
 """The fit of :mod:`calib.mag.motor`; named here, so that composing its result loads no fit."""
@@ -23,7 +20,7 @@ _LIVE = 0.02  # of the largest: an output that moves less is no motor
 
 
 class DriveKind(StrEnum):
-    """What the field of the motors is taken to be proportional to."""
+    """Signal to which the field of the motors is proportional."""
 
     CURRENT = "current"
     THROTTLE = "throttle"

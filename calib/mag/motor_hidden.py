@@ -18,9 +18,7 @@ from mavcal.calib.mag.flight_input import FlightInput
 from mavcal.calib.mag.flight_path import attitudes
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.result import MagContext
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 BLOCK = 15.0
 """s that are hidden at a time."""

@@ -1,4 +1,4 @@
-"""Sentences on the motors' field: its size by each attitude, and where the two disagree."""
+"""Sentences on the motors' field: its size by either attitude, and where the two disagree."""
 
 from __future__ import annotations
 

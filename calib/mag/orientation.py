@@ -20,6 +20,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.mag.coverage import sections
 from mavcal.calib.mag.free_rotation import (
+    Array,
     Euler,
     angle_between,
     best_mirrors,
@@ -28,8 +29,6 @@ from mavcal.calib.mag.free_rotation import (
     mirror_words,
     turn,
 )
-
-Array = NDArray[np.float64]
 
 QUIET = 0.1
 """Departure of |accel| from gravity, relative, up to which it shows the vertical."""

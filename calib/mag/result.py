@@ -1,4 +1,4 @@
-"""Facts that a compass fit needs beside the samples, and the one maker of its :class:`FitResult`.
+"""Facts that a compass fit needs beside the samples, and the function that makes its :class:`FitResult`.
 
 Each method finds an offset and a matrix in its own way, and words its own message and warnings. The tie to the Earth's
 field, the heading error and the limits beyond which nothing may be used are the same for all of them.
@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Any, Final, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.earth import STRONGEST_UT, WEAKEST_UT, EarthField, beyond_earth
@@ -22,10 +21,8 @@ from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitBuilder, FitResult, FitStatus, parameter_names
 from mavcal.calib.mag.free_rotation import angle_between
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

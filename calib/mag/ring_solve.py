@@ -10,15 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.mag.ring_centres import (
-    FEWEST_OF_CIRCLE,
-    Centre,
-    Circle,
-    Ring,
-    centre_of,
-    fit_circle,
-    is_round,
-)
+from mavcal.calib.mag.ring_centres import FEWEST_OF_CIRCLE, Centre, Circle, Ring, centre_of, fit_circle, is_round
 from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
 from mavcal.calib.mag.serial import variance_inflation
 

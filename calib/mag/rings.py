@@ -16,7 +16,6 @@ from typing import Any, Unpack
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib.c_array import homogeneous
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
@@ -38,9 +37,7 @@ from mavcal.calib.mag.result import (
 from mavcal.calib.mag.ring_centres import CENTRES, Ring, faces_of, plane_of
 from mavcal.calib.mag.ring_solve import RingsFit, by_dominant, columns_of, published, solve_rings
 from mavcal.calib.stats.residuals import residual_statistics
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 METHOD = "mag-rings"
 

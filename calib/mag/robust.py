@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.distance import Distances, Pass
 from mavcal.calib.mag.moments import Moments
-from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.samples import Array, Cloud
 from mavcal.calib.mag.shape import Ellipsoid, MagModel
 from mavcal.calib.mag.simple_fits import solve_sphere
-
-Array = NDArray[np.float64]
 
 MAD_TO_SD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""

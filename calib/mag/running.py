@@ -26,11 +26,9 @@ from mavcal.calib.mag.distance import ALL_SIDES
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, judged_ellipsoid
 from mavcal.calib.mag.moments import POWERS, Moments, corrections, fill_monomials
 from mavcal.calib.mag.result import MagContext, MagFacts, refusal
-from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
+from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Array, Cloud, check_not_flat, check_samples
 from mavcal.calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
 from mavcal.calib.stats.residuals import WHITE, student_variance
-
-Array = NDArray[np.float64]
 
 METHOD = "mag-ellipsoid"
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from mavcal.calib.stats.residuals import first_correlation
-
-Array = NDArray[np.float64]
+from mavcal.calib.stats.residuals import Array, first_correlation
 
 LONGEST = 1 << 17
 """Samples looked at: enough for the time constant of any movement by hand."""

@@ -18,19 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.distance import ALL_SIDES, Distances, ShapeTerms, Solution, bisquare, gauss_newton, shape_prior
 from mavcal.calib.mag.ellipsoid_result import ShapeFit
 from mavcal.calib.mag.result import MagContext
 from mavcal.calib.mag.robust import MOST_OUTLIERS, Start, robust_sd
-from mavcal.calib.mag.samples import LEAST_VARIANCE, Cloud
+from mavcal.calib.mag.samples import LEAST_VARIANCE, Array, Cloud
 from mavcal.calib.mag.serial import LONGEST, weakened_information
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid, MagModel, six_numbers, symmetric
 from mavcal.calib.stats.residuals import student_variance
-
-Array = NDArray[np.float64]
 
 METHOD = "mag-ellipsoid"
 

@@ -17,18 +17,16 @@ from typing import Unpack
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.ellipsoid_result import ShapeFit, ellipsoid_result
 from mavcal.calib.mag.result import MagContext, MagFacts, refusal
-from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
+from mavcal.calib.mag.samples import LEAST_VARIANCE, Array, check_not_flat, check_samples
 from mavcal.calib.mag.serial import weakened_information, white_variance, widened_scatter
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
 from mavcal.calib.stats.residuals import student_variance
-
-Array = NDArray[np.float64]
 
 MINMAX = "mag-minmax"
 SPHERE = "mag-sphere"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.accel.faces import CONVENTIONS, Face, down_of
@@ -31,12 +30,10 @@ from mavcal.calib.methods.method import (
 from mavcal.calib.methods.source import Source
 from mavcal.calib.noise.coarse_means import means_together
 from mavcal.calib.option import Option
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.stillness import pose_means
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.accel import fit_accel_thermal
-
-Array = NDArray[np.float64]
 
 _KNOWN = 16  # samples from which on their scatter tells the uncertainty of their mean
 

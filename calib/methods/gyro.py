@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult
@@ -25,8 +24,6 @@ from mavcal.calib.methods.method import (
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor
-
-Array = NDArray[np.float64]
 
 
 def gyro_rest(source: Source, options: Options) -> list[FitResult]:

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.accel.faces import down_of
 from mavcal.calib.accel.rest_reference import SAMPLES, SensorTolerances, fit_rest_reference
@@ -36,10 +35,8 @@ from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _PAUSE = 10.0
 """s without a sample, and twenty intervals: what surrounded the compass may be other things afterwards."""
@@ -107,14 +104,11 @@ def _parts(source: Source, mag: Channel) -> list[Channel]:
         return []
     steps = np.diff(mag.t)
     pause = max(_PAUSE, 20.0 * float(np.median(steps)))
-    borders = [float(t) for t in mag.t[1:][steps > pause]] + _events(source.recording)
+    borders = [float(t) for t in mag.t[1:][steps > pause]]
+    borders += [event.t for event in source.recording.events if event.kind in _BORDERS]
     edges = [-np.inf, *sorted(borders), np.inf]
     parts = [mag.between(a, b) for a, b in pairwise(edges)]
     return [part for part in parts if len(part) >= _FEWEST]
-
-
-def _events(recording: Recording) -> list[float]:
-    return [event.t for event in recording.events if event.kind in _BORDERS]
 
 
 def _departure(fit: FitResult, measure: Channel, part: Channel) -> float:

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
@@ -18,13 +17,12 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
-from mavcal.calib.recording import Channel, Recording
+from mavcal.calib.recording import Array, Channel, Recording
 from mavcal.calib.stats.still_limits import HOLD_S
 
 if TYPE_CHECKING:
     from mavcal.calib.methods.worthwhile import LoggedTrip
 
-Array = NDArray[np.float64]
 Options = Mapping[str, Any]
 Fit = Callable[[Source, Options], Sequence[FitResult]]
 

@@ -1,4 +1,4 @@
-"""The names of the methods, each with its module and what it finds in a line; nothing else is loaded for them."""
+"""Names of the methods, each with its module and a line on what it finds; loading them loads no method."""
 
 from __future__ import annotations
 

@@ -22,12 +22,10 @@ from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options, 
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.thermal.compass import fit_mag_thermal
 from mavcal.calib.thermal.drift import DriftData
 from mavcal.calib.thermal.fit import LINEAR_METHOD, PolynomialOptions, fit_drift_data, fit_linear
-
-Array = NDArray[np.float64]
 
 TABLES_WARNING = "{} tables, each with an offset of its own"
 _ROWS = 20_000  # of a table, that are enough to compare curves
@@ -104,7 +102,7 @@ def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside 
         held = np.clip(t, low, high)
         slope, curve = _curve(others, 1, low, high), _curve(others, degree, low, high)
         for row, (coefficients, at) in enumerate(((slope, t), (curve, t), (curve, held))):
-            left = y - _value(coefficients, at, low, high)
+            left = y - np.asarray(_powers(at, len(coefficients), low, high) @ coefficients)
             left = left - left[inside].mean(axis=0)
             squares[row] += float((left[~inside] ** 2).mean(axis=1).sum())
         count += int((~inside).sum())
@@ -139,10 +137,6 @@ def _curve(tables: Sequence[tuple[Array, Array]], degree: int, low: float, high:
     )
     values = np.concatenate([y - y.mean(axis=0) for _, y in tables])
     return np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0])
-
-
-def _value(coefficients: Array, t: Array, low: float, high: float) -> Array:
-    return np.asarray(_powers(t, len(coefficients), low, high) @ coefficients)
 
 
 def _powers(t: Array, degree: int, low: float, high: float) -> Array:

@@ -1,4 +1,4 @@
-"""Which methods are worthwhile on a vehicle's log, and which are not, each with its reason.
+"""Judges which methods are worthwhile on a vehicle's log, each with its reason.
 
 A method that takes a log names its judgement in its own entry (:class:`calib.methods.method.Suggestion`).
 """
@@ -10,15 +10,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.flight.craft import craft_of
 from mavcal.calib.flight.rest import Ground, Rest, how_to_rest, why_no_rest
 from mavcal.calib.methods import METHODS
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 _APART: Final = np.radians(30.0)  # directions of gravity that count as two poses
 _POSES: Final = 4

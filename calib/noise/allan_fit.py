@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
@@ -24,12 +23,10 @@ from mavcal.calib.noise.allan import (
     octaves,
     overlapping_deviation,
 )
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 METHOD = "allan"
 

@@ -13,13 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.quantisation import COARSE, QuantisedMean, half_widths, mean_of
-
-Array = NDArray[np.float64]
 
 _LEAST, _MOST = 0.02, 1.5  # quanta of noise that are believed of a sensor in coarse bins
 _NOISES, _PLACES = 48, 161  # points of the grids

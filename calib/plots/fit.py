@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, SpaceView, SphereMap, limits_of, sheet
@@ -29,9 +29,7 @@ from mavcal.calib.plots.canvas import (
     shown,
     thinned,
 )
-from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, TriadModel
 
 FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
 _MERIDIANS, _PARALLELS = 25, 13

@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.drawing import Blank, Chart, Drawing, Picture, limits_of, sheet
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.plots.canvas import AFTER, BEFORE, ROW_HEIGHT, RULE, TOO_FEW, WIDTH, density, shown, thinned
-
-Array = NDArray[np.float64]
+from mavcal.calib.plots.canvas import AFTER, BEFORE, ROW_HEIGHT, RULE, TOO_FEW, WIDTH, Array, density, shown, thinned
 
 MOST_ROWS = 4
 """Sensors in one picture: those whose effects are largest."""

@@ -17,8 +17,8 @@ from mavcal.calib.firmware.slots import NO_DEVICE_IDS, px4_instance, px4_slot
 from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, SCALED_IMU
 from mavcal.calib.firmware.stream.rates import BY_INSTANCE, requested_streams
+from mavcal.calib.preflight.check import OwnView, Shaking
 from mavcal.calib.preflight.rest import LEAST
-from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.wire.codec import decode
 from mavcal.calib.wire.frames import Frame
@@ -142,9 +142,9 @@ class Collected:
     view: OwnView
     current_known: bool | None
     messages: Mapping[int, int]
-    """See :attr:`calib.preflight.snapshot.Snapshot.messages`."""
+    """See :attr:`calib.preflight.check.Snapshot.messages`."""
     uncorrected: frozenset[tuple[Sensor, int]]
-    """See :attr:`calib.preflight.snapshot.Snapshot.uncorrected`."""
+    """See :attr:`calib.preflight.check.Snapshot.uncorrected`."""
 
 
 def collect(
@@ -160,7 +160,7 @@ def collect(
 
     `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
     is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
-    `stated`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.stated_device_ids` finds them.
+    `stated`: PX4's device ids by streamed instance, as :func:`calib.preflight.check.stated_device_ids` finds them.
     """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])

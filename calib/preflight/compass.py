@@ -1,4 +1,4 @@
-"""Compasses at rest: strength, dip and heading of the field against the magnetic model, the others and the vehicle.
+"""Checks compasses at rest: strength, dip and heading against the magnetic model, the others and the vehicle.
 
 A compass whose field has the wrong strength is disturbed; what its direction is then says nothing more, so the
 direction is judged of the others only.
@@ -18,7 +18,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import FirmwareError
@@ -26,15 +25,13 @@ from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.names import MOTOR, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, counted, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Verdict, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, evidence_lines
-from mavcal.calib.preflight.snapshot import Snapshot
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
 _VEHICLE = "the vehicle's own heading"
 _GIVE = "Check again and give the true heading of the nose: it tells which of them is off."
 _DECLINED = "The declination that is set by hand explains it."
-Array = NDArray[np.float64]
 
 _MAGNET = "Move the vehicle away from iron, magnets and cars and check again; if it persists, calibrate the compass."
 _MOUNT = "Look whether the mast or the mount of the compass is bent or turned; then calibrate the compass."

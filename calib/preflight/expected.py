@@ -17,7 +17,7 @@ from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.options import Key
 from mavcal.calib.firmware.plan import LeftOut, Value
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
+from mavcal.calib.preflight.check import VerifiedCalibration
 from mavcal.calib.recording import Sensor
 
 SHARED: Mapping[str, tuple[str, ...]] = {

@@ -1,4 +1,4 @@
-"""Parameters against earlier verified calibrations: age, sensors, changes, temperature, motors."""
+"""Compares parameters with earlier verified calibrations: age, sensors, changes, temperature, motors."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from mavcal.calib.firmware.names import LEVEL, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Verdict, judged, unknown
 from mavcal.calib.preflight.expected import GYRO_SWITCH, SHARED, ExpectedCalibration, expected, last_of_each
-from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
 _CALIBRATE = "Calibrate here and write it: a calibration counts from its verification on."

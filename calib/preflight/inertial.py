@@ -1,4 +1,4 @@
-"""Gyroscopes and accelerometers at rest, and the vehicle's attitude against its accelerometers.
+"""Checks gyroscopes and accelerometers at rest, and the vehicle's attitude against its accelerometers.
 
 After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart. The
 vehicle would fly by that attitude.
@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
@@ -20,13 +19,12 @@ from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import SURE, Check, CheckId, Measure, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, evidence_lines
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
 _GYRO = "Calibrate the gyroscopes at rest."
 _ACCEL = "Calibrate the accelerometers; if one stays off by itself, it is damaged or loose."
-Array = NDArray[np.float64]
 
 _RESTART = (
     "Restart the vehicle: its estimator remembers offsets that are in force no more. If that does not help, calibrate "

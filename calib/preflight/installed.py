@@ -53,7 +53,7 @@ def announced(
 ) -> dict[Key, Announced]:
     """Every sensor that is announced and used; none for an autopilot that is neither ArduPilot nor PX4.
 
-    `device_ids`: PX4's device ids by streamed instance, as :func:`calib.preflight.snapshot.told_ids` finds them.
+    `device_ids`: PX4's device ids by streamed instance, as :func:`calib.preflight.check.told_ids` finds them.
     """
     if autopilot not in names.CALIBRATION_PREFIXES:
         return {}

@@ -1,4 +1,4 @@
-"""The limits of the checks, each with where it comes from (FLIGHT_CONTROLLERS 4.3, 4.4 for the firmwares' own).
+"""Limits of the checks, each with its source (the firmwares' own: FLIGHT_CONTROLLERS 4.3, 4.4).
 
 They are narrower than what a firmware arms with: a vehicle that just arms is not yet one that flies well.
 """

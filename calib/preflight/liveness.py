@@ -18,11 +18,10 @@ import numpy as np
 import scipy
 
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Verdict, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Snapshot, Verdict, unknown
 from mavcal.calib.preflight.installed import STREAMED, WORDS, Announced, Key
 from mavcal.calib.preflight.movement import ObservedMovement
 from mavcal.calib.preflight.rest import LEAST
-from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.preflight.rest import block_means
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
-
-Array = NDArray[np.float64]
 
 TURNED_DEG: Final = 5.0
 """Change of a direction that no noise makes, and that every living sensor of that kind follows by many steps."""

@@ -7,18 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import calibration_in_force, sensor_ids
+from mavcal.calib.preflight.check import Snapshot
 from mavcal.calib.preflight.history import calibrates_gyros, sensor_of
 from mavcal.calib.preflight.limits import MOVING_FORCE, MOVING_RATE_DEG_S
-from mavcal.calib.preflight.snapshot import Snapshot
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows, without_spikes
-
-Array = NDArray[np.float64]
 
 _BLOCK_S = 0.5
 LEAST = 20

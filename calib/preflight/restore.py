@@ -1,4 +1,4 @@
-"""The last verified calibration as a plan, to restore lost or changed parameters.
+"""Plans to write the last verified calibration again where parameters were lost or changed.
 
 Nothing is estimated here. The plan belongs to the very unit whose calibration was verified; the service writes it like
 any other plan. Afterwards the sensors have to read right by the limits of a preflight: the calibration may be old.
@@ -39,11 +39,10 @@ from mavcal.calib.firmware.plan import (
     Value,
     WritePlan,
 )
-from mavcal.calib.preflight.check import Measure, Verdict
+from mavcal.calib.preflight.check import Measure, Verdict, VerifiedCalibration
 from mavcal.calib.preflight.expected import ExpectedCalibration, ExpectedValue, expected, last_of_each
 from mavcal.calib.preflight.inertial import force_measures, rest_measures
 from mavcal.calib.preflight.rest import Mean, mean_at_rest, moved
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Recording, Sensor
 
 _RANKS: Mapping[Role, Rank] = {

@@ -9,23 +9,19 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, self_report
-from mavcal.calib.preflight.check import Check, CheckId, Report, Verdict, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Report, Snapshot, Verdict, unknown
 from mavcal.calib.preflight.compass import motor_compensation
 from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
 from mavcal.calib.preflight.liveness import Census, census, sensors_heard
 from mavcal.calib.preflight.movement import movement
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
-from mavcal.calib.preflight.snapshot import Snapshot
-from mavcal.calib.recording import Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Recording, Sensor
 
 _ABOUT = {
     Sensor.GYRO: (CheckId.GYRO_REST, CheckId.GYRO_NOISE),

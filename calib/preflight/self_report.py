@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
-from mavcal.calib.preflight.snapshot import OwnView, Shaking
+from mavcal.calib.preflight.check import Check, CheckId, Measure, OwnView, Shaking, Verdict, judged, unknown
 
 _ALL_CHECKS = 1
 """ARMING_CHECK of ArduPilot before 4.7: a mask of what is checked, 1 for everything. ARMING_SKIPCHK, since then, is a

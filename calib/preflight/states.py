@@ -12,9 +12,8 @@ import numpy as np
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.preflight.check import Snapshot, Verdict
 from mavcal.calib.preflight.history import Changed, changes, ids_changed
-from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
 DAY_S: Final = 86400.0

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from statistics import median
-from typing import ClassVar
 
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.option import Option
 from mavcal.calib.posture import tilted
 from mavcal.calib.procedures.base import TickedProcedure
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
-from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
+from mavcal.calib.procedures.motion import HELD, Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pose_fit import Assessment, assess
 from mavcal.calib.procedures.poses import FACES, TEXTS, angle, any_of, down_direction, recognise, remaining, tilts
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep, Tilt
@@ -60,8 +59,8 @@ NEXT_POSE = math.radians(15.0)
 class AccelProcedure(TickedProcedure):
     """Recognises poses and stillness from the data, takes a mean of each pose, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
-    limits: ClassVar[StillLimits] = HELD
+    spec = SPEC
+    limits = HELD
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -1,4 +1,4 @@
-"""Fits whose truth is known in the vehicle's body: samples into the body frame, and the fit back to the raw sensor's.
+"""Turns samples into the body frame, where the truth of a fit is known, and the fit back into the raw sensor's.
 
 A fixture, a turntable and a ring turn the body about its own axes, while a fit that is written refers to the raw
 sensor. With ``R = body_from_sensor``, ``C_b (R m - b_b)`` seen in the sensor's axes is ``R^T C_b R (m - R^T b_b)``.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -11,12 +10,11 @@ from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.fixed_yaw import KnownAttitude, fit_fixed_yaw
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_temperature, refusals
 from mavcal.calib.procedures.level import GRAVITY_WITHIN, roll_pitch
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -44,7 +42,7 @@ SPEC = ProcedureSpec(
 class MagFixedYawProcedure(TickedProcedure):
     """Waits for rest, and takes the mean of every compass."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -7,7 +7,6 @@ about the vertical turns the compass's field; without a compass only its rate te
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,11 +14,10 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_temperature, share_of_information
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -62,7 +60,7 @@ FIELD_CHANGE = 0.3
 class GyroProcedure(TickedProcedure):
     """Collects samples of one undisturbed rest until the offsets are known as well as asked for."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

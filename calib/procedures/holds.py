@@ -1,4 +1,4 @@
-"""One hold of one pose: its samples, and how well the length of its mean specific force is known."""
+"""One hold of a pose: its samples, and the standard deviation of the length of its mean specific force."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcal.calib.procedures.base import mean_temperature
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.poses import angle
 from mavcal.calib.procedures.protocol import Pose
-from mavcal.calib.procedures.results import mean_temperature
 from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.stillness import PoseMean, Still, pose_means

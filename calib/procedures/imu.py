@@ -10,27 +10,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import ClassVar
 
 import numpy as np
 
-from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.firmware.storable import INERTIAL
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro.rest import fit_gyro_rest
 from mavcal.calib.imu import fit_imu
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.accel import EXTRA, AccelProcedure
+from mavcal.calib.procedures.base import mean_temperature, refusals
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.motion import RESTING, StillWatch
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import Assessment
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
-from mavcal.calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min
 
 SPEC = ProcedureSpec(
     kind="imu-multi",
@@ -60,7 +58,7 @@ REST_S = 6.0
 class ImuProcedure(AccelProcedure):
     """Guides through the poses like the accelerometer job, keeps every sample, and fits both sensors jointly."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -1,4 +1,4 @@
-"""From chunks of any size to ticks of fixed length on the vehicle's clock.
+"""Cuts chunks of any size into ticks of fixed length on the vehicle's clock.
 
 A procedure decides at ticks, whose content does not depend on how the samples were chunked. It therefore takes the same
 steps live, from a replayed log and in a test. A tick is closed when samples later than its end by :data:`GRACE` have

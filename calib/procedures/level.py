@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -51,7 +50,7 @@ UNITS_WITHIN = math.radians(1.0)
 class LevelProcedure(TickedProcedure):
     """Waits for rest and takes the mean direction of gravity of every corrected accelerometer."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -8,7 +8,6 @@ of the field is compared with the World Magnetic Model from the first second.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,10 +18,9 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, share_of_information
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -75,7 +73,7 @@ CONFIRM_MOUNTING = 30.0
 class MagProcedure(TickedProcedure):
     """Collects sharp samples of every compass until the heading is known as well as asked for."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

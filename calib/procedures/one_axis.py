@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -16,13 +15,12 @@ from mavcal.calib.accel.poses import fit_one_axis
 from mavcal.calib.firmware.storable import ACCEL_OFFSETS
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, share_of_information
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import down_direction, facing
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -54,7 +52,7 @@ SHORTEST = 3.0
 class AccelOneAxisProcedure(TickedProcedure):
     """Waits for rest on any face and takes the mean of every accelerometer."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from mavcal.calib.mag.orientation import ASKEW, RIGHT_ANGLES, FittedRotation, Mo
 from mavcal.calib.mag.result import FIELD_TOLERANCE, rotation_covariance
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, refusals
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.mag_track import mounting_quality
 from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
@@ -28,7 +28,6 @@ from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, Facing, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import Spin, SpinWatch
@@ -120,7 +119,7 @@ def mounting_in(rotation: Array, covariance: Array) -> dict[str, Any]:
 class MagRingsProcedure(TickedProcedure):
     """Takes one ring on each face, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -7,7 +7,6 @@ the price is that a tilt of the fixture enters at full size. Without a fixture t
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -16,14 +15,13 @@ from mavcal.calib.accel.six_face import fit_six_face
 from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_or_none, refusals
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.holds import SHORTEST, HeldPose, Hold, pose_of_hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
@@ -57,7 +55,7 @@ ROUNDS = 2
 class AccelSixFaceProcedure(TickedProcedure):
     """Takes a mean at rest on each face, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -10,7 +10,6 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.storable import DRIFT
@@ -208,7 +207,7 @@ class _Range:
 class ThermalProcedure(TickedProcedure):
     """Collects still spans while the temperature moves, then fits a cubic to every unit."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +19,13 @@ from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro.thread import fit_thread
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_temperature, refusals
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.intake import TICK
-from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
+from mavcal.calib.procedures.motion import RESTING, StillnessVerdict
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN, TEXTS, down_direction, facing
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
@@ -81,8 +80,8 @@ class Wound:
 class GyroThreadProcedure(TickedProcedure):
     """Finds the turns between rests, has them counted, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
-    limits: ClassVar[StillLimits] = HANGING
+    spec = SPEC
+    limits = HANGING
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

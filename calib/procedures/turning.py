@@ -1,4 +1,4 @@
-"""How fast the vehicle turns about its own axes, tick by tick, as the first gyro has it."""
+"""Body rates of the vehicle, tick by tick, by the first gyro."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ Neither firmware holds a gyro's scale: what is written is the offset, and the sc
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,12 @@ from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro.rest import PLAUSIBLE_BIAS
 from mavcal.calib.gyro.turntable import fit_turntable
 from mavcal.calib.option import Option
-from mavcal.calib.procedures.base import TickedProcedure
+from mavcal.calib.procedures.base import TickedProcedure, mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.pool import Pool, Tail, joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS, Facing, down_direction, facing
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
-from mavcal.calib.procedures.results import mean_or_none, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpec
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
@@ -122,7 +121,7 @@ class Stretch:
 class GyroTurntableProcedure(TickedProcedure):
     """Takes a rest and steady turns both ways about every requested axis, and fits."""
 
-    spec: ClassVar[ProcedureSpec] = SPEC
+    spec = SPEC
 
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import CalibError
@@ -26,10 +25,9 @@ from mavcal.calib.firmware.slots import px4_instance
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, STEEPEST, TILT
 from mavcal.calib.mag.heading import heading_tilts as tilts
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 DIRECTIONS: Final = 200
 """Directions of gravity that stand for all of them."""
 UNITS: Final = {Sensor.GYRO: "deg/s", Sensor.ACCEL: "m/s²", Sensor.MAG: "deg"}

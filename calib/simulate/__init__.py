@@ -9,8 +9,6 @@
 array([ 0.1  ,  0.   , -9.807])
 """
 
-from __future__ import annotations
-
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.matlab import MatlabParameters, from_matlab, to_matlab
 from mavcal.calib.simulate.motion import Leg, SegmentFacts, Trajectory, Warming, along, trajectory

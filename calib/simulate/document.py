@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.converter import make_converter
 from mavcal.calib.errors import InvalidInputError, UnreadableError
@@ -19,8 +18,6 @@ from mavcal.calib.simulate.motion import SegmentFacts, Warming
 from mavcal.calib.simulate.recording import Frame, SensorSuite, Simulated, suite_in_frame
 from mavcal.calib.simulate.sensor import SensorErrors
 from mavcal.calib.simulate.sitl import from_sitl
-
-Array = NDArray[np.float64]
 
 _SENSORS = tuple(s.value for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
 _CONVERTER = make_converter()

@@ -19,15 +19,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Rounding, Sensor
+from mavcal.calib.recording import Array, Rounding, Sensor
 from mavcal.calib.simulate.noise import half_derivative
 from mavcal.calib.simulate.recording import Frame, errors_turned
 from mavcal.calib.simulate.sensor import SensorErrors
-
-Array = NDArray[np.float64]
 
 OBJECTS = {"accelparams": Sensor.ACCEL, "gyroparams": Sensor.GYRO, "magparams": Sensor.MAG}
 """Name of the MATLAB object of each sensor."""

@@ -1,4 +1,4 @@
-"""How a sensor moves: legs one after another, and the trajectory that they make.
+"""Motion of a sensor: legs one after another, and their trajectory.
 
 A leg turns the body from where the last one left it, about axes of the body. Attitude, rate and specific force come
 from one formula each, so they agree to rounding.
@@ -10,14 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Segment
+from mavcal.calib.recording import Array, Segment
 
-Array = NDArray[np.float64]
 Turning = Callable[[Array], tuple[Rotation, Array]]
 """From seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Channel, Recording, Rounding, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Recording, Rounding, Sensor, Stage
 from mavcal.calib.simulate.motion import Trajectory
 from mavcal.calib.simulate.sensor import SensorErrors
 
-Array = NDArray[np.float64]
 Frame = Literal["ned", "enu"]
 
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0])

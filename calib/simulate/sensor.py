@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Rounding
+from mavcal.calib.recording import Array, Rounding
 from mavcal.calib.simulate.noise import flicker, random_walk, white
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 _PER_AXIS = ("bias", "noise_density", "bias_instability", "random_walk", "temperature_scale")
 

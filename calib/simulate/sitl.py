@@ -18,16 +18,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Rounding
+from mavcal.calib.recording import Array, Rounding
 from mavcal.calib.simulate.motion import Warming
 from mavcal.calib.simulate.recording import SensorSuite
 from mavcal.calib.simulate.sensor import SensorErrors
-
-Array = NDArray[np.float64]
 
 UT_PER_MGAUSS = 0.1
 ACCEL_NOISE = 0.01  # m/s2, amplitude of the uniform noise that SITL always adds

@@ -1,4 +1,4 @@
-"""Sensors as they come: errors drawn from a seed, of the size that ordinary MEMS parts have before calibration."""
+"""Typical sensors: random errors of the size of ordinary MEMS parts before calibration."""
 
 from __future__ import annotations
 

@@ -20,10 +20,8 @@ import scipy
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Channel, Rounding
+from mavcal.calib.recording import Array, Channel, Rounding
 from mavcal.calib.stats.correlated import long_run_variance
-
-Array = NDArray[np.float64]
 
 COARSE = 0.75
 """Noise below this many quanta biases the plain mean (5e-6 quanta of bias at 0.75, 2e-3 at 0.5)."""

@@ -17,16 +17,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.geometry import frame_along, sphere_of
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
 from mavcal.calib.stats.still_limits import HELD, StillnessLimits
 from mavcal.calib.stats.windows import Windows, finite_rows, row_of, window_statistics
-
-Array = NDArray[np.float64]
 
 _LEAST_SAMPLES = 4  # of a window
 

@@ -21,15 +21,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.accel.poses import check_assumed, residual_in
-from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.norm_fit import PAIRS
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import Still, pose_means
@@ -47,9 +45,7 @@ from mavcal.calib.thermal.accel_solve import (
     within_poses,
 )
 from mavcal.calib.thermal.drift import powers_about
-from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import ThermalPolynomial, TriadModel, tilt_sd_deg
 
 METHOD = "accel-thermal"
 

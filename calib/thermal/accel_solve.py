@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.geometry import sphere_of
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.norm_fit import UNDETERMINED, linearised, newton_step
 from mavcal.calib.stats.stillness import PoseMean, Still
-
-Array = NDArray[np.float64]
 
 _NO_DRIFT = 0.005  # of a radius over half the span: a larger sd is no drift
 _WEAK = 1.0  # radii: prior under which what the poses do not determine shows

@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.quantisation import COARSE, half_widths
 from mavcal.calib.thermal.drift import DriftData, TemperatureBins
-
-Array = NDArray[np.float64]
 
 CELLS = 2048
 """Cells that are kept, up to twice as many between two joins: ticks of 0.25 s for 17 minutes, then twice that."""

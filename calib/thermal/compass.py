@@ -16,12 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.thermal.drift import DriftBlocks, DriftData
 from mavcal.calib.thermal.quality import common_warnings
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 METHOD = "mag-thermal"
 

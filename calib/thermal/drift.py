@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import ColouredCovariance, coloured_covariance
 from mavcal.calib.stats.quantisation import half_widths
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 _BLOCKS = 64
 _NOT_REPEATABLE = 2.0  # half the drift below this many of its own sd, under coloured noise, is no drift of temperature

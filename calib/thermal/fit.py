@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.stats.quantisation import COARSE, impute, interval_regression
 from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData, TemperatureBins, powers_about, repeated_rows
@@ -42,8 +42,6 @@ from mavcal.calib.thermal.sweeps import (
     thermal_lag,
 )
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
-
-Array = NDArray[np.float64]
 
 LINEAR_METHOD = "thermal-linear"
 POLYNOMIAL_METHOD = "thermal-poly"
@@ -276,21 +274,15 @@ def fit_drift_data(
             **attitude_quality(channel, curve, estimated),
             "drift": or_none(curve.drift, ~data.constant),
             "drift_sd": or_none(curve.drift_sd, ~(data.constant | too_coarse)),
-            **_lag_quality(found, two_ways),
+            "lag_s": found.seconds if found else None,
+            "lag_sd_s": found.sd if found else None,
+            "hysteresis": None if two_ways is None else two_ways[0].tolist(),
+            "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
             "cross_validation": judged,
             "below_resolution": bool(((data.constant & data.quantised) | too_coarse).all()),
         },
         native={"residual_sd": or_none(residual, estimated), "degree": degree},
     )
-
-
-def _lag_quality(found: ThermometerLag | None, two_ways: tuple[Array, Array] | None) -> dict[str, Any]:
-    return {
-        "lag_s": found.seconds if found else None,
-        "lag_sd_s": found.sd if found else None,
-        "hysteresis": None if two_ways is None else two_ways[0].tolist(),
-        "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
-    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.fit import AXES
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData
 from mavcal.calib.thermal.sweeps import ThermometerLag
-
-Array = NDArray[np.float64]
 
 
 def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:

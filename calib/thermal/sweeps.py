@@ -13,14 +13,9 @@ import numpy as np
 from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 
-from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array
 from mavcal.calib.stats.correlated import coloured_covariance
-from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.drift import DriftBlocks
-
-Array = NDArray[np.float64]
 
 _MOVING = 0.1  # of the fastest rate of temperature: slower is neither warming nor cooling
 _BOTH = 0.1  # share of the moving time that either direction needs
@@ -30,7 +25,6 @@ _SIGNIFICANT = 4.0  # sd
 _ROUNDS = 8
 _GRID = 4096  # points of the temperature over time
 _SWEEP = 0.4  # of the whole span: a passage of the temperature that covers less is no sweep
-_JUDGED = 64  # blocks of a record that is judged
 
 
 @dataclass(frozen=True)
@@ -219,40 +213,6 @@ def cross_validated(blocks: DriftBlocks) -> DriftPrediction | None:
     if weight <= 0.0:
         return None
     return DriftPrediction(np.sqrt(before / weight), np.sqrt(after / weight))
-
-
-def judge_drift(fit: FitResult, channel: Channel, temperature: Array) -> DriftPrediction:
-    """How well the drift of `fit` predicts another record of the same sensor.
-
-    Parameters
-    ----------
-    fit
-        With a polynomial; an axis that it declined is judged without correction.
-    channel
-        Samples of another sweep, in any pose: only the shape counts.
-    temperature : shape (N,)
-        At every sample, degC. Samples outside of the range of `fit` do not count.
-
-    Raises
-    ------
-    InvalidInputError
-        If the fit was refused, or no sample lies within its range.
-    """
-    if fit.status == FitStatus.REFUSED or fit.model.polynomial is None:
-        raise InvalidInputError(f"{fit.method} has no drift to judge: {fit.message}")
-    drift = fit.model.polynomial
-    t = np.asarray(temperature, dtype=np.float64)
-    inside = finite_rows(channel.values) & (t >= drift.t_min) & (t <= drift.t_max)
-    n = int(inside.sum())
-    if n < 2 * _JUDGED:
-        raise InvalidInputError(
-            f"{n} samples lie within {drift.t_min:.1f} to {drift.t_max:.1f} degC: {2 * _JUDGED} are needed"
-        )
-    values, corrected = channel.values[inside], channel.values[inside] - drift(t[inside])
-    edges = np.linspace(0, n, _JUDGED + 1).astype(int)
-    counts = np.diff(edges).astype(np.float64)
-    before, after = (np.add.reduceat(y, edges[:-1], axis=0) / counts[:, None] for y in (values, corrected))
-    return DriftPrediction(np.sqrt(_scatter(before, counts) / n), np.sqrt(_scatter(after, counts) / n))
 
 
 def _scatter(series: Array, counts: Array) -> Array:

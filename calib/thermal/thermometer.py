@@ -8,12 +8,9 @@ read; one that stands for many seconds was read again and again, the last time o
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Array, Channel
 from mavcal.calib.thermal.cells import CELLS
-
-Array = NDArray[np.float64]
 
 _USUAL = 0.1  # quantile of the times between two values that is taken as the period: slow changes stand for longer
 _FEW = 3  # values of one part that are kept as they are; more of them are averaged

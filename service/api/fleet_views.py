@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from mavcal.calib.firmware.device_ids import decode_device_id
 from mavcal.calib.fleet.record import BIAS_LIMITS, BiasLimit, SensorRecord, Triple
 from mavcal.calib.fleet.standing import SensorStanding
 from mavcal.calib.fleet.trend import DAY_S, Slope
-from mavcal.calib.report import to_json
+from mavcal.calib.report import Json, to_json
 from mavcal.service.api.models.fleet import FleetUnitModel, SensorRecordModel, UnitHistoryModel
 from mavcal.service.fleet.view import FleetUnit
-
-Json = dict[str, Any]
 
 
 def fleet_unit_model(row: FleetUnit) -> FleetUnitModel:

@@ -11,7 +11,6 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 
 from mavcal import calib
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models.base import Json
 from mavcal.service.api.models.host import (
     AuditCheck,
     AuditPage,
@@ -21,6 +20,7 @@ from mavcal.service.api.models.host import (
     RegistrationModel,
     TicketModel,
 )
+from mavcal.service.api.models.wire import Json
 from mavcal.service.api.problems import explanations
 from mavcal.service.api.security import ADMIN, READ, TICKET_S, RequestGuard
 from mavcal.service.hosts import cockpit_manifest, registration

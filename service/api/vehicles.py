@@ -16,7 +16,7 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from mavcal.calib.preflight.snapshot import Snapshot
+from mavcal.calib.preflight.check import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
 from mavcal.calib.recording import Channel, Recording
 from mavcal.service.api.dependencies import ServiceDep, relative

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 from fastapi import Response
 
@@ -23,7 +22,7 @@ from mavcal.service.api.models.steps import OptionModel, ProcedureModel
 from mavcal.service.api.models.vehicles import LinkModel, ParameterModel, VehicleModel, VehicleSensorsModel
 from mavcal.service.campaigns.items import Item
 from mavcal.service.fixing import Fix
-from mavcal.service.jobs.core.codec import from_json, to_json
+from mavcal.service.jobs.core.codec import Json, from_json, to_json
 from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.write.readiness import readiness_of
@@ -35,8 +34,6 @@ from mavcal.service.unfinished import Unfinished, beginning, ending
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
-
-Json = dict[str, Any]
 
 
 def job_summary(job: Job) -> JobSummary:

@@ -17,7 +17,7 @@ from mavcal.calib.methods import METHODS
 from mavcal.service.campaigns.campaigns import Campaigns, CampaignTask, ItemTurn, ItemWork
 from mavcal.service.campaigns.executors import Workers
 from mavcal.service.campaigns.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
-from mavcal.service.campaigns.worker import computed
+from mavcal.service.campaigns.worker import Json, computed
 from mavcal.service.children import DIAGNOSE, FIT, Limits
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.jobs.core.admission import require_finite
@@ -31,7 +31,6 @@ from mavcal.service.jobs.uploads.computing import MOST_STARTS
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument
 
-Json = dict[str, Any]
 FOLDER = "folder"
 """Option of a campaign through files: where they are. Such a campaign is never run by a service."""
 

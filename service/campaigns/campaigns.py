@@ -114,20 +114,16 @@ class ItemWork(Protocol):
     @property
     def lane(self) -> asyncio.Semaphore:
         """The queue in which items wait, those of all campaigns together."""
-        ...
 
     @property
     def most_starts(self) -> int | None:
         """So often an item is begun whose service stops meanwhile: it may be the item that stops it. None: always."""
-        ...
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """Process the item. A ServiceError or CalibError ends this item alone."""
-        ...
 
     async def cancelled(self, turn: ItemTurn) -> str:
         """The campaign was cancelled while :meth:`run` ran, and :meth:`run` with it: end what it began; say how."""
-        ...
 
 
 class Campaigns:

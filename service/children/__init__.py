@@ -6,8 +6,6 @@ JSON and ends. Only the fork server's pipes connect it to the service: when the 
 server sees its input close and kills what it started; a child dies with the fork server.
 """
 
-from __future__ import annotations
-
 from mavcal.service.children.limits import Limits
 from mavcal.service.children.pool import Children, Runs
 from mavcal.service.children.tasks import DIAGNOSE, FIT, INSPECT, SERIES

@@ -20,12 +20,11 @@ import structlog
 import mavcal.calib.errors
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.service.children.limits import Limits, cause_of
-from mavcal.service.children.tasks import FIRST, LATER
+from mavcal.service.children.tasks import FIRST, LATER, Json
 from mavcal.service.errors import ChildEnded, ChildrenBusy
 
 log = structlog.get_logger(__name__)
 
-Json = dict[str, Any]
 ProgressCallback = Callable[[str], None]
 
 MOST_WAITING = 32
@@ -40,16 +39,13 @@ _STDERR_TOLD = 4000
 class Runs(Protocol):
     """Interface of what runs tasks of :mod:`service.children.tasks` within limits."""
 
-    @property
-    def most(self) -> int:
-        """The most items of a campaign that run at a time."""
-        ...
+    most: int
+    """The most items of a campaign that run at a time."""
 
     async def run(
         self, task: str, order: Mapping[str, Any], limits: Limits, *, progress: ProgressCallback | None = None
     ) -> Json:
         """See :meth:`Children.run`."""
-        ...
 
 
 @dataclass

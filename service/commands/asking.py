@@ -1,4 +1,4 @@
-"""The client of the service in this process: what the service raises, the command meets."""
+"""The client of a service in this process: it raises the errors of the service themselves."""
 
 from __future__ import annotations
 

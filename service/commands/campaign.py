@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.calibrate import KINDS, parsed
+from mavcal.service.commands.campaign_items import show_items
+from mavcal.service.commands.campaign_output import OutputOptions
 from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.headless import Begun
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, options_of_plan, plan_options
 from mavcal.service.commands.reading import reading_options, split_reading
@@ -19,10 +21,8 @@ from mavcal.service.commands.whom import Whom, data_dir_option, whom_options
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.service.campaigns.archive import Archive
-    from mavcal.service.commands.headless import Begun
     from mavcal.service.jobs.core.model import Job
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 OUTCOMES = (
     *("waiting", "running", "done", "warned", "review"),
@@ -61,9 +61,7 @@ def command() -> None:
 @json_option
 def preflight(*, whom: Whom, at_once: int | None, table: Path | None, as_json: bool) -> int:
     """Check every vehicle that is heard on these endpoints, or by the service; nothing is written."""
-    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import run_vehicles
-    from mavcal.service.commands.headless import Begun
 
     async def begin(client: AsyncClient, chosen: list[str]) -> Begun:
         return Begun(await client.start_preflight_campaign(vehicles=chosen, at_once=at_once))
@@ -96,9 +94,7 @@ def calibrate(
     """Calibrate every vehicle that is heard; without --apply their plans wait in review."""
     if reboot and not write:
         raise click.UsageError("--reboot is a part of writing: give --apply too")
-    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import run_vehicles
-    from mavcal.service.commands.headless import Begun
 
     asked, plan = parsed(options), options_of_plan(given(more))
 
@@ -137,7 +133,6 @@ def fit(
 ) -> int:
     """Run one METHOD of `mavcal fit` on every log below FOLDER. Each is read in a child process with limits."""
     from mavcal.service.commands.campaign_archive import run_archive
-    from mavcal.service.commands.campaign_output import OutputOptions
 
     chosen, reading = parsed(options, words=True), split_reading(more)[0]
 
@@ -175,7 +170,6 @@ def gap(
 ) -> int:
     """Diagnose the sim-to-real gap of every log below FOLDER. Exit code 1 also if one could not be tested."""
     from mavcal.service.commands.campaign_archive import run_archive
-    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.reading import readable_file
 
     for path in (*(() if sim is None else (sim,)), *nominal):
@@ -197,7 +191,6 @@ def gap(
 def resume(job: str, *, whom: Whom, executor: str, table: Path | None, as_json: bool) -> int:
     """Go on with a campaign that was stopped; what has ended is not done again."""
     from mavcal.service.commands.campaign_archive import is_of_folder, run_archive
-    from mavcal.service.commands.campaign_output import OutputOptions
     from mavcal.service.commands.campaign_run import resumed, run_vehicles
 
     output = OutputOptions(table, as_json)
@@ -233,9 +226,6 @@ def items(
 
     Without --url the data directory is read; a service may go on with it meanwhile.
     """
-    from mavcal.service.commands.campaign_items import show_items
-    from mavcal.service.commands.campaign_output import OutputOptions
-
     whom = Whom(url=url, key_file=key_file, data_dir=data_dir)
     whom.require_sense(needed="", alone=False, of_links=True)
     return show_items(whom, job, outcomes, OutputOptions(table, as_json))

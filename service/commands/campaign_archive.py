@@ -5,8 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from mavcal.service.campaigns.archive import FOLDER, Archive, archive
+from mavcal.service.campaigns.executors import Workers, abandon, workers
+from mavcal.service.campaigns.items import item_from_row
+from mavcal.service.campaigns.outcome import head, lines
+from mavcal.service.children import Limits
+from mavcal.service.commands.campaign_items import campaign_among
 from mavcal.service.commands.campaign_output import (
     CampaignSnapshot,
     OutputOptions,
@@ -14,27 +19,24 @@ from mavcal.service.commands.campaign_output import (
     print_campaign,
     write_table,
 )
+from mavcal.service.commands.door import stoppable
 from mavcal.service.commands.place import place_of
+from mavcal.service.commands.screen import Screen
+from mavcal.service.jobs.core.codec import to_json
+from mavcal.service.jobs.core.model import Job
+from mavcal.service.logs import configure_logging
+from mavcal.service.settings import Settings
+from mavcal.service.store.sqlite import jobs_of
 
-if TYPE_CHECKING:
-    from mavcal.service.campaigns.archive import Archive
-    from mavcal.service.campaigns.executors import Workers
-    from mavcal.service.commands.screen import Screen
-    from mavcal.service.jobs.core.model import Job
-    from mavcal.service.settings import Settings
+Begin = Callable[[Archive], Awaitable[Job]]
+"""Makes the campaign, or goes on with one. Raises ServiceError, CalibError."""
 
-    Begin = Callable[[Archive], Awaitable[Job]]
-    """Makes the campaign, or goes on with one. Raises ServiceError, CalibError."""
 
 _ALL = 1_000_000
 
 
 def run_archive(settings: Settings, executor: str, begin: Begin, output: OutputOptions) -> int:
     """One campaign from `begin` to its end; the exit code."""
-    from mavcal.service.campaigns.executors import workers
-    from mavcal.service.commands.screen import Screen
-    from mavcal.service.logs import configure_logging
-
     configure_logging(as_json=settings.log_json)
     with workers(executor) as given:
         return asyncio.run(_run(settings, given, begin, output, Screen(place_of(settings))))
@@ -42,18 +44,10 @@ def run_archive(settings: Settings, executor: str, begin: Begin, output: OutputO
 
 def is_of_folder(data_dir: Path, job_id: str) -> bool:
     """Whether a job is a campaign through files. Raises JobUnknown, StoreError."""
-    from mavcal.service.campaigns.archive import FOLDER
-    from mavcal.service.commands.campaign_items import campaign_among
-    from mavcal.service.store.sqlite import jobs_of
-
     return FOLDER in (campaign_among(jobs_of(data_dir), job_id).body.get("options") or {})
 
 
 async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputOptions, screen: Screen) -> int:
-    from mavcal.service.campaigns.archive import archive
-    from mavcal.service.campaigns.executors import abandon
-    from mavcal.service.children import Limits
-    from mavcal.service.commands.door import stoppable
 
     limits = settings.limits
     of_fits = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
@@ -77,16 +71,12 @@ async def _run(settings: Settings, given: Workers, begin: Begin, output: OutputO
 
 
 async def _snapshot(found: Archive, job_id: str) -> CampaignSnapshot:
-    from mavcal.service.jobs.core.codec import to_json
 
     job = found.book.handle(job_id).job
     return CampaignSnapshot(job.id, job.state.value, dict(job.options), to_json(job.outcome), to_json(job.progress))
 
 
 async def _print_outcome(found: Archive, snapshot: CampaignSnapshot, output: OutputOptions, screen: Screen) -> int:
-    from mavcal.service.campaigns.items import item_from_row
-    from mavcal.service.campaigns.outcome import head, lines
-    from mavcal.service.jobs.core.codec import to_json
 
     rows = await found.store.do(lambda: found.store.items(snapshot.id, limit=_ALL))
     items = [item_from_row(row) for row in rows]

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mavcal.service.commands.campaign_output import OutputOptions, write_table
+from mavcal.service.commands.door import Door, through_door
 from mavcal.service.commands.output import write_json
+from mavcal.service.commands.whom import Whom
+from mavcal.service.errors import JobUnknown
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.models import ItemModel
-    from mavcal.service.commands.whom import Whom
     from mavcal.service.store.rows import JobRow
 
 PAGE = 1000
@@ -45,8 +47,6 @@ def show_items(whom: Whom, job_id: str, outcomes: Sequence[str], output: OutputO
     AnsweredNo
         If the service does not answer.
     """
-    from mavcal.service.commands.door import Door, through_door
-
     if whom.url is None:
         return _show(job_id, _of_directory(whom.settings.data_dir, job_id, outcomes), output)
 
@@ -73,7 +73,6 @@ async def items_of(client: AsyncClient, job_id: str, outcomes: Sequence[str] = (
 def campaign_among(rows: Sequence[JobRow], job_id: str) -> JobRow:
     """The campaign of that id among the jobs of a data directory. Raises JobUnknown."""
     from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.errors import JobUnknown
 
     found = next((row for row in rows if row.id == job_id and row.kind == CAMPAIGN), None)
     if found is None:
@@ -106,7 +105,6 @@ def _of_directory(data_dir: Path, job_id: str, outcomes: Sequence[str]) -> Listi
 async def _of_service(client: AsyncClient, job_id: str, outcomes: Sequence[str], *, table: bool) -> Listing:
     from mavcal.client.enums import ItemOutcome
     from mavcal.service.campaigns.campaigns import CAMPAIGN
-    from mavcal.service.errors import JobUnknown
 
     if (await client.get_job(job_id)).kind != CAMPAIGN:
         raise JobUnknown(f"there is no campaign {job_id} in this service")

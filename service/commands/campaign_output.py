@@ -7,14 +7,12 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from mavcal.service.commands.output import EXIT_NO, EXIT_PART, write_json, writing
-
-if TYPE_CHECKING:
-    from mavcal.service.commands.screen import Screen
+from mavcal.service.commands.screen import Screen
 
 _LOOK_S = 0.1
 _MOST_SHOWN = 20

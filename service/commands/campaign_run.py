@@ -6,10 +6,11 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import click
 
+from mavcal.client import AsyncClient, enums
+from mavcal.service.campaigns.campaigns import CAMPAIGN
 from mavcal.service.commands.campaign_items import OF_HTTP, items_of
 from mavcal.service.commands.campaign_output import (
     CampaignSnapshot,
@@ -18,17 +19,17 @@ from mavcal.service.commands.campaign_output import (
     print_campaign,
     write_table,
 )
-from mavcal.service.commands.headless import Begun, begun_by
+from mavcal.service.commands.door import HURRY_S, Door, through_door
+from mavcal.service.commands.headless import Begun, begun_by, heard
+from mavcal.service.commands.screen import Screen
+from mavcal.service.commands.vehicles import served
+from mavcal.service.commands.whom import Whom
 from mavcal.service.errors import VehicleSilent
+from mavcal.service.jobs.core.states import CANCELLABLE, JobState
 
-if TYPE_CHECKING:
-    from mavcal.client import AsyncClient
-    from mavcal.service.commands.door import Door
-    from mavcal.service.commands.screen import Screen
-    from mavcal.service.commands.whom import Whom
+Begin = Callable[[AsyncClient, list[str]], Awaitable[Begun]]
+"""Makes the campaign for these vehicles, or goes on with one. Raises ServiceError."""
 
-    Begin = Callable[[AsyncClient, list[str]], Awaitable[Begun]]
-    """Makes the campaign for these vehicles, or goes on with one. Raises ServiceError."""
 
 GATHER_S = 3.0
 """After the first vehicle of a link, others on it get so long to be heard: heartbeats come once a second."""
@@ -36,9 +37,6 @@ GATHER_S = 3.0
 
 def run_vehicles(whom: Whom, begin: Begin, output: OutputOptions) -> int:
     """One campaign from `begin` to its end; the exit code."""
-    from mavcal.service.commands.door import through_door
-    from mavcal.service.commands.screen import Screen
-
     return through_door(whom, partial(_run, whom=whom, begin=begin, output=output, screen=Screen(whom.place)))
 
 
@@ -46,11 +44,9 @@ def resumed(job_id: str) -> Begin:
     """Goes on with a campaign that was stopped, or follows one that goes on by itself."""
 
     async def begin(client: AsyncClient, _chosen: list[str]) -> Begun:
-        from mavcal.client.enums import JobState
-        from mavcal.service.campaigns.campaigns import CAMPAIGN
 
         job = await client.get_job(job_id)
-        if job.kind == CAMPAIGN and job.state == JobState.RUNNING:
+        if job.kind == CAMPAIGN and job.state == enums.JobState.RUNNING:
             return Begun(job, ours=False)
         return Begun(await client.resume_campaign(job_id))
 
@@ -82,9 +78,6 @@ async def _print_outcome(client: AsyncClient, snapshot: CampaignSnapshot, output
 
 async def _heard(door: Door, whom: Whom, screen: Screen) -> list[str]:
     """Ids of the vehicles on these links, or of a service; an endpoint where none is heard stands for itself."""
-    from mavcal.service.commands.headless import heard
-    from mavcal.service.commands.vehicles import served
-
     if door.shared:
         return [vehicle.id for vehicle in await served(door.client, replace(whom, every=not whom.ids), screen)]
     urls = tuple(dict.fromkeys(whom.urls))
@@ -111,9 +104,6 @@ async def _leave_campaign(door: Door, screen: Screen, begun: Begun) -> None:
 
     One that a service that others use went on with before is left alone.
     """
-    from mavcal.service.commands.door import HURRY_S
-    from mavcal.service.jobs.core.states import CANCELLABLE, JobState
-
     job_id = begun.job.id
     if door.shared and not begun.ours:
         screen.line(f"stopped: the service goes on with campaign {job_id}", bold=True)

@@ -1,4 +1,4 @@
-"""Several vehicles in one run: those of the endpoints that were given, or every one that is heard."""
+"""Runs a command for several vehicles: those of the given endpoints, or every one that is heard."""
 
 from __future__ import annotations
 

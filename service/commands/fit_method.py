@@ -72,17 +72,13 @@ def command_of(method: Method) -> click.Command:
     made.params += [
         click.Option(
             [f"--{option.name.replace('_', '-')}", option.name],
-            type=_parameter_type(option.type),
+            type=click.Choice(list(option.type)) if isinstance(option.type, tuple) else option.type,
             default=None,
             help=f"{option.help} [default: {option.default}]" if option.default is not None else option.help,
         )
         for option in method.options
     ]
     return made
-
-
-def _parameter_type(kind: Any) -> Any:
-    return click.Choice(list(kind)) if isinstance(kind, tuple) else kind
 
 
 def _print_fits(fits: tuple[FitResult, ...], convention: str | None, failed: str, *, as_json: bool) -> None:

@@ -8,18 +8,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.jobs import table
 from mavcal.service.commands.output import json_option, write_json
-from mavcal.service.commands.remote import may_be_remote, service_at
+from mavcal.service.commands.remote import Command, may_be_remote, service_at
 from mavcal.service.commands.whom import data_dir_option
 from mavcal.service.errors import DataDirLocked, UnitUnknown
 
@@ -30,7 +30,6 @@ Json = dict[str, Any]
 
 ACTOR = "command line"
 PAGE = 1000
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 HEAD = ("unit", "name", "tags", "autopilot", "preflight", "age", "leaves its limit", "calibrate")
 ORDERS = ("name", "verdict", "age", "leaving", "seen")

@@ -1,19 +1,19 @@
-"""Calibrates without hands over the client: runs, plans without what needs a restart, and writes."""
+"""Calibrates a resting vehicle over the client: runs, plans without changes that need a restart, and writes."""
 
 from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
+from mavcal.client import AsyncClient
+from mavcal.client.jobs import JobModel
+from mavcal.service.commands.door import Door
 from mavcal.service.commands.headless import Begun, begun_by, leave_job, state_of
-
-if TYPE_CHECKING:
-    from mavcal.client import AsyncClient
-    from mavcal.client.jobs import JobModel
-    from mavcal.service.commands.door import Door
-    from mavcal.service.commands.screen import Screen
+from mavcal.service.commands.plan_options import options_of_plan
+from mavcal.service.commands.screen import Screen
+from mavcal.service.fixing import LEFT, WAIT_S, Late, late
+from mavcal.service.jobs.core.states import JobState
 
 _LOOK_S = 0.1
 
@@ -36,10 +36,6 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
     VehicleError, PhysicalJobRunning, PreflightRunning, Forbidden
         As for :meth:`service.jobs.engine.JobEngine.submit` and ``apply``.
     """
-    from mavcal.service.commands.plan_options import options_of_plan
-    from mavcal.service.fixing import Late, late
-    from mavcal.service.jobs.core.states import JobState
-
     client, left = door.client, Late()
 
     async def begin() -> Begun:
@@ -64,8 +60,6 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
 
 async def wait_for_job(client: AsyncClient, job_id: str) -> JobModel:
     """The job, once nothing goes on with it by itself. Raises TimeoutError after two minutes."""
-    from mavcal.service.fixing import LEFT, WAIT_S
-
     async with asyncio.timeout(WAIT_S):
         while state_of(job := await client.get_job(job_id)) not in LEFT:  # noqa: ASYNC110 - another process may run it
             await asyncio.sleep(_LOOK_S)

@@ -8,17 +8,16 @@ from contextlib import aclosing, asynccontextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mavcal.service.commands.door import HURRY_S
+from mavcal.service.commands.door import HURRY_S, Door
+from mavcal.service.commands.keyboard import Answer
 from mavcal.service.commands.output import AnsweredNo
-from mavcal.service.errors import ServiceError
+from mavcal.service.commands.screen import Screen
+from mavcal.service.errors import ServiceError, VehicleSilent, VehicleUnknown
 
 if TYPE_CHECKING:
     from mavcal.client import AsyncClient
     from mavcal.client.jobs import JobModel
     from mavcal.client.models import JobSummary, UnfinishedModel, VehicleModel
-    from mavcal.service.commands.door import Door
-    from mavcal.service.commands.keyboard import Answer
-    from mavcal.service.commands.screen import Screen
     from mavcal.service.jobs.core.states import JobState
 
 QUIET_S = 3.0
@@ -36,8 +35,6 @@ async def heard(door: Door, url: str, wait: float, screen: Screen) -> VehicleMod
 
     Raises VehicleSilent if none is heard within `wait` seconds; meanwhile `screen` says what is waited for.
     """
-    from mavcal.service.errors import VehicleSilent
-
     link_id = await door.open(url)
     announcing = asyncio.create_task(_announce_wait(door.client, link_id, url, wait, screen))
     try:
@@ -189,8 +186,6 @@ async def recovered(
 
 async def is_of(client: AsyncClient, job: JobSummary | JobModel, vehicle: VehicleModel) -> bool:
     """Whether the job is of this vehicle, which may have had another name when it began."""
-    from mavcal.service.errors import VehicleUnknown
-
     if job.vehicle_id is None:
         return False
     with suppress(VehicleUnknown):

@@ -1,4 +1,4 @@
-"""Where a command was run: the next command that a sentence names has to find the same vehicle, data and service."""
+"""Options that a command was run with: the next command that a sentence names needs them too."""
 
 from __future__ import annotations
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING
 
 import click
 
+from mavcal.service.commands.door import Door, through_door
+from mavcal.service.commands.headless import left_over, recovered, recovery_document
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.screen import Screen
+from mavcal.service.commands.vehicles import vehicle_of
 from mavcal.service.commands.whom import Whom, whom_options
-
-if TYPE_CHECKING:
-    from mavcal.service.commands.door import Door
-    from mavcal.service.commands.screen import Screen
+from mavcal.service.errors import VehicleSilent
 
 
 @click.command()
@@ -26,9 +26,6 @@ def command(*, whom: Whom, as_json: bool) -> int:
 
     Exit code 0: nothing is in doubt on this vehicle. 1: something still is; the parameters are listed.
     """
-    from mavcal.service.commands.door import through_door
-    from mavcal.service.commands.screen import Screen
-
     return through_door(whom, partial(_recover, whom=whom, screen=Screen(whom.place), as_json=as_json))
 
 
@@ -43,9 +40,6 @@ async def _recover(at: Door, *, whom: Whom, screen: Screen, as_json: bool) -> in
 
 
 async def _recovered(at: Door, whom: Whom, screen: Screen, as_json: bool) -> int:
-    from mavcal.service.commands.headless import left_over, recovered, recovery_document
-    from mavcal.service.commands.vehicles import vehicle_of
-    from mavcal.service.errors import VehicleSilent
 
     left = await left_over(at)
     try:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from mavcal.service.commands.door import Door, door
+from mavcal.service.commands.headless import jobs_of
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.screen import Screen
 from mavcal.service.commands.vehicles import Found, vehicles_of
 from mavcal.service.commands.whom import Whom, whom_options
-
-if TYPE_CHECKING:
-    from mavcal.service.commands.door import Door
-    from mavcal.service.commands.screen import Screen
 
 
 @click.command()
@@ -25,8 +24,6 @@ def command(*, whom: Whom, as_json: bool) -> int:
 
     Nothing is asked of it but who it is. Exit code 1 if a vehicle was not heard.
     """
-    from mavcal.service.commands.screen import Screen
-
     found = asyncio.run(_status(whom, Screen(whom.place)))
     if as_json:
         write_json({"vehicles": found})
@@ -37,7 +34,6 @@ def command(*, whom: Whom, as_json: bool) -> int:
 
 
 async def _status(whom: Whom, screen: Screen) -> list[dict[str, Any]]:
-    from mavcal.service.commands.door import door
 
     async with door(whom) as at:
         return [await _one(at, found) for found in await vehicles_of(at, whom, screen)]
@@ -45,7 +41,6 @@ async def _status(whom: Whom, screen: Screen) -> list[dict[str, Any]]:
 
 async def _one(door: Door, found: Found) -> dict[str, Any]:
     from mavcal.client.enums import JobState
-    from mavcal.service.commands.headless import jobs_of
 
     if found.vehicle is None:
         return found.document

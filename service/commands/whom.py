@@ -1,4 +1,4 @@
-"""Whom a live command is about, and which service it asks: the options that say so, the same for every command."""
+"""Options of every live command that choose its vehicles and the service that it asks."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.place import CommandPlace, place_of
-from mavcal.service.commands.remote import DEFAULT_URL, key_option
+from mavcal.service.commands.remote import DEFAULT_URL, Command, key_option
 
 if TYPE_CHECKING:
     from mavcal.service.settings import Settings
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 data_dir_option = click.option("--data-dir", type=click.Path(path_type=Path), help="Where everything is kept.")
 NEITHER = "give --connect URL of a vehicle, or --url URL of a running service"

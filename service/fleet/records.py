@@ -11,9 +11,8 @@ from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
 from mavcal.calib.fleet.record import ObservationSource, SensorRecord, bias_of
 from mavcal.calib.fleet.standing import FailedCheck, LastPreflight
-from mavcal.calib.preflight.check import Check, Verdict
+from mavcal.calib.preflight.check import Check, Verdict, VerifiedCalibration
 from mavcal.calib.preflight.history import calibrates_gyros, covered_by
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Sensor
 from mavcal.calib.report import from_json, to_json
 from mavcal.service.jobs.calibrate.history import history_of

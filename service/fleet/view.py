@@ -105,16 +105,12 @@ class Choice:
             and (self.min_age_d is None or row.age is None or row.age >= self.min_age_d)
             and (self.sensor is None or any(_is(s, self.sensor.lower()) for s in row.standing.sensors))
             and (self.needs_recalibration is None or self.needs_recalibration == bool(row.standing.reasons))
-            and self.odd in (None, any(_odd(s) for s in row.standing.sensors))
+            and self.odd in (None, any(s.oddness is not None and s.oddness.odd for s in row.standing.sensors))
         )
 
 
 def _is(sensor: SensorStanding, kind: str) -> bool:
     return kind in (sensor.newest.sensor.value, sensor.newest.type.lower())
-
-
-def _odd(sensor: SensorStanding) -> bool:
-    return sensor.oddness is not None and sensor.oddness.odd
 
 
 def fleet_units(rows: FleetRows, present: Mapping[str, Presence], now: float) -> tuple[FleetUnit, ...]:

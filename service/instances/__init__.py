@@ -4,5 +4,3 @@ Whatever is done for a vehicle is done by the instance that holds its lease. A l
 unless it is renewed; then another instance takes over, opens the link and finishes what the journal says. Every
 transaction of a job checks the lease inside itself, so a stalled owner can store nothing once it has lost its lease.
 """
-
-from __future__ import annotations

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from mavcal.calib.firmware.stream.rates import requested_streams
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
+from mavcal.calib.preflight.check import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.service.errors import AnswerRefused, Forbidden, IllegalTransition, NotCancellable, NotRevertible
 from mavcal.service.jobs.calibrate import without_capture

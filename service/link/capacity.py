@@ -1,4 +1,4 @@
-"""How much a link carries, and which stream rates fit into that.
+"""Capacity of a link, and the stream rates that fit into it.
 
 A telemetry radio carries a few kilobytes a second. Asked for more, it loses frames at random, parameter answers
 among them; so rates are chosen below what it was seen to carry, and a job is told how much longer it will take.
@@ -33,7 +33,6 @@ STEP = 0.25
 """No rate is cut to less than this share at once: what a link carries is measured again on the way."""
 _LEAST_COMES = 0.1  # of a link that loses more nothing is inferred
 _OVERHEAD = 12
-_SIGNATURE = 13
 _BITS_PER_BYTE = 10  # a start bit and a stop bit go with every eight
 
 
@@ -100,11 +99,11 @@ class Arrivals:
         ]
 
 
-def frame_bytes(message_id: int, *, signed: bool = False) -> int:
+def frame_bytes(message_id: int) -> int:
     """Largest size of this message as a MAVLink 2 frame. Unknown messages count as the largest possible."""
     cls = dialect.mavlink_map.get(message_id)
     payload = int(cls.unpacker.size) if cls is not None else 255
-    return payload + _OVERHEAD + (_SIGNATURE if signed else 0)
+    return payload + _OVERHEAD
 
 
 def nominal_capacity(endpoint: Endpoint) -> float | None:

@@ -1,4 +1,4 @@
-"""Who speaks from where: the routing table of a link, and what is suspicious about it."""
+"""The routing table of a link: the address of every sender, and suspicious changes of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways for bytes to come and go. They live in the reader thread of one link and nowhere else.
+"""Transports: ways for bytes to come and go, in the reader thread of one link only.
 
 A transport opens itself, registers its sockets with the thread's selector and hands out what arrived; it never
 blocks longer than a connection attempt. Whatever ends it is a :class:`Disconnected` with the reason.

@@ -20,15 +20,12 @@ class Owed(Protocol):
 
     def intervals(self) -> Mapping[int, int]:
         """The intervals that are owed to the vehicle."""
-        ...
 
     async def owe(self, before: Mapping[int, int]) -> None:
         """Owe these as well. On the disk before anything is changed, where they have to survive a crash."""
-        ...
 
     async def returned(self) -> None:
         """Nothing is owed any more."""
-        ...
 
 
 async def request_rates(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -25,6 +26,8 @@ STATISTICS_FIRST_S, STATISTICS_PERIOD_S = 30.43, 31.0
 class ArduPilotVehicle(FlightController):
     """ArduCopter: casts parameters, truncates streams, averages its compass over 100 ms."""
 
+    device_ids = MappingProxyType({"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS})
+
     def __init__(self, config: VehicleConfig) -> None:
         super().__init__(config)
         self.parameters = ArduPilotParameters(self)
@@ -40,6 +43,9 @@ class ArduPilotVehicle(FlightController):
         }
         self.messages = ArduPilotMessages(self, self.sensors, self.telemetry, compass)
         self.commands = ArduPilotCommands(self, self.sensors, self.stored, self.messages, self.mag_calibration)
+        self.flush_saves, self.foreign_set = self.parameters.flush, self.parameters.set
+        self.start_onboard_calibration = lambda: self.mag_calibration.start(0, autosave=False)
+        self.stop_onboard_calibration = self.mag_calibration.cancel
 
     # --- Vehicle
 
@@ -56,25 +62,9 @@ class ArduPilotVehicle(FlightController):
         ids = names.ACCEL_IDS[: self.config.imu_count]
         self.stored.accels = {k for k, i in enumerate(ids) if self.table.get(names.id_name("ACC", k)) == i}
 
-    def flush_saves(self) -> None:
-        """See FlightController."""
-        self.parameters.flush()
-
-    def device_ids(self) -> dict[str, tuple[int, ...]]:
-        """See FlightController."""
-        return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}
-
     def arming_faults(self) -> list[str]:
         """See FlightController."""
         return [f"PreArm: {reason}" for reason in self.commands.arming_faults()]
-
-    def foreign_set(self, name: str, value: float) -> None:
-        """See FlightController."""
-        self.parameters.set(name, value)
-
-    def start_onboard_calibration(self) -> None:
-        """See FlightController."""
-        self.mag_calibration.start(0, autosave=False)
 
     def boot(self) -> None:
         """See FlightController: latch what needs a reboot, calibrate the gyros unless told not to, begin to talk."""
@@ -85,7 +75,7 @@ class ArduPilotVehicle(FlightController):
         if self.table.get("INS_GYR_CAL", 1.0) == 1:
             self.commands.store_gyro_offsets(announce=False)
         self.every(1.0, lambda: self.broadcast(self.heartbeat()), first=1.0)
-        self.every(10.0, lambda: self.broadcast(self._timesync()))
+        self.every(10.0, lambda: self.broadcast(dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)))
         self.every(STATISTICS_PERIOD_S, self._statistics, first=STATISTICS_FIRST_S)
         self.at(0.5, lambda: self.say(self.banner()[0]))
 
@@ -106,10 +96,6 @@ class ArduPilotVehicle(FlightController):
         elif name == "TIMESYNC" and message.tc1 == 0:
             now = int(self.time * 1e9)
             self.send(channel, dialect.MAVLink_timesync_message(now, int(message.ts1)))
-
-    def stop_onboard_calibration(self) -> None:
-        """See FlightController."""
-        self.mag_calibration.cancel()
 
     def sense(self, until: float) -> None:
         """See FlightController."""
@@ -146,6 +132,3 @@ class ArduPilotVehicle(FlightController):
             total = int(self.table.saved["STAT_RUNTIME"]) + int(self.time)
             self.table.store("STAT_RUNTIME", total)
             self.parameters.announce(["STAT_RUNTIME"])
-
-    def _timesync(self) -> Any:
-        return dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)

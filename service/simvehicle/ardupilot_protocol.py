@@ -1,4 +1,4 @@
-"""ArduPilot's parameter protocol: C-cast values, late echoes, silence for what it does not like."""
+"""ArduPilot's parameter protocol: values cast as in C, late echoes, and no answer to a request that it rejects."""
 
 from __future__ import annotations
 

@@ -7,12 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.service.simvehicle import ardupilot_parameters as names
-from mavcal.service.simvehicle.corrections import (
-    ArduPilotThermal,
-    ardupilot_accel,
-    ardupilot_compass,
-    ardupilot_gyro,
-)
+from mavcal.service.simvehicle.corrections import ArduPilotThermal, ardupilot_accel, ardupilot_compass, ardupilot_gyro
 from mavcal.service.simvehicle.magreader import MagReader
 from mavcal.service.simvehicle.mounting import CustomRotations
 from mavcal.service.simvehicle.parameters import ParameterTable

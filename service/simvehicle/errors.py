@@ -1,7 +1,5 @@
 """What can go wrong in a simulated vehicle, as one tree of exceptions."""
 
-from __future__ import annotations
-
 
 class SimulatedVehicleError(Exception):
     """Root of every error raised by the simulated vehicle."""

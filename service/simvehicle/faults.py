@@ -60,29 +60,23 @@ class Fault:
 
 
 class Site(Protocol):
-    """Where faults strike: a vehicle, its links, and room for a twin."""
+    """What faults act on: a vehicle, its links and its twins."""
 
-    @property
-    def vehicle(self) -> FlightController:
-        """The vehicle."""
-        ...
+    vehicle: FlightController
+    """The vehicle."""
 
-    @property
-    def links(self) -> Sequence[FaultyLink]:
-        """Impairments that its frames pass."""
-        ...
+    links: Sequence[FaultyLink]
+    """Impairments that its frames pass."""
 
     def add_twin(self) -> None:
         """Another vehicle under the same system id."""
-        ...
 
     def remove_twins(self) -> None:
         """Take the others away."""
-        ...
 
 
 class Injector:
-    """Keeps the faults that wait, and lets them strike."""
+    """Keeps pending faults, and applies each when it is due."""
 
     def __init__(self, site: Site) -> None:
         self._site = site

@@ -1,4 +1,4 @@
-"""When a magnetometer is fresh: a reader that averages the raw field over each period and repeats it in between."""
+"""Reads a magnetometer: averages the raw field over each period, and repeats it in between."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the sensors are mounted: really, by the configuration, and as the parameters say."""
+"""Mounting of the sensors: the true one, by the configuration, and that of the parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Somebody who does with a simulated vehicle what a prompt asks for.
+"""Does with a simulated vehicle what a prompt asks the operator for.
 
 Prompts are the plain data that the service sends: ``step``, ``pose``, ``remaining``, ``rotate``, ``direction`` …
 """
@@ -21,7 +21,6 @@ class Movable(Protocol):
 
     def call(self, do: str, **options: Any) -> dict[str, Any]:
         """One request, and its reply."""
-        ...
 
 
 class Operator:

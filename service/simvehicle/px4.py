@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -26,13 +27,21 @@ FIRST_HEARTBEAT_S = 0.96
 class Px4Vehicle(FlightController):
     """PX4: bit-copied integers, thresholds in memory, streams minus biases, a background writer."""
 
+    device_ids = MappingProxyType({"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS})
+
     def __init__(self, config: VehicleConfig) -> None:
         super().__init__(config)
         self.sensors = Px4Sensors(self.world, self.table, self.faults)
-        self.parameters = Px4Parameters(self, self._parameters_updated)
+        self.parameters = Px4Parameters(self, self.reload_calibration)
         self.telemetry = Telemetry(self)
         self.messages = Px4Messages(self, self.sensors, self.telemetry)
         self.commands = Px4Commands(self, self.sensors, self.parameters, self.messages)
+        self.flush_saves = self.parameters.save
+        self.foreign_set = lambda name, value: self.parameters.write(
+            {name: value if self.table[name].is_float else int(value)}
+        )
+        self.start_onboard_calibration = lambda: self.commands.calibration.wait_for_sides("mag")
+        self.stop_onboard_calibration = self.commands.calibration.cancel
         self.writer = GyroWriter(self, self.sensors, self.parameters, lambda: self.commands.calibrating)
 
     def make_table(self) -> ParameterTable:
@@ -48,7 +57,7 @@ class Px4Vehicle(FlightController):
         self.sensors.boot()
         self.parameters.boot()
         names.mark_used(self.table, thermal_runs=not self.config.sitl)
-        self.commands.boot()
+        self.commands.calibration.boot()
         self.writer.boot()
         self.messages.boot()
         self.every(1.0, self._beat, first=FIRST_HEARTBEAT_S)
@@ -69,10 +78,6 @@ class Px4Vehicle(FlightController):
         elif name == "TIMESYNC" and received.message.tc1 == 0:
             now = int(self.time * 1e9)
             self.send(channel, dialect.MAVLink_timesync_message(now, int(received.message.ts1)))
-
-    def stop_onboard_calibration(self) -> None:
-        """See FlightController."""
-        self.commands.calibration.cancel()
 
     def sense(self, until: float) -> None:
         """See FlightController."""
@@ -109,30 +114,11 @@ class Px4Vehicle(FlightController):
             values[f"TC_{sensor}_ENABLE"] = float(self.sensors.thermal_on[sensor])
         return values
 
-    def flush_saves(self) -> None:
-        """See FlightController."""
-        self.parameters.save()
-
-    def device_ids(self) -> dict[str, tuple[int, ...]]:
-        """See FlightController."""
-        return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}
-
     def arming_faults(self) -> list[str]:
         """See FlightController."""
         return self.commands.arming_faults()
 
-    def foreign_set(self, name: str, value: float) -> None:
-        """See FlightController."""
-        self.parameters.write({name: value if self.table[name].is_float else int(value)})
-
     def reload_calibration(self) -> None:
         """See FlightController."""
-        self._parameters_updated()
-
-    def start_onboard_calibration(self) -> None:
-        """See FlightController."""
-        self.commands.calibration.wait_for_sides("mag")
-
-    def _parameters_updated(self) -> None:
         self.sensors.update(armed=self.armed)
         names.mark_used(self.table, thermal_runs=not self.config.sitl)

@@ -54,10 +54,6 @@ class Px4Commands:
         """Whether preflight checks pass: booted, and every sensor has a slot."""
         return self._vehicle.time > READY_AFTER_S and self._sensors.calibrated
 
-    def boot(self) -> None:
-        """Forget what a reboot ends."""
-        self.calibration.boot()
-
     def handle(self, channel: MavlinkChannel, received: Received) -> None:
         """Execute one command; the answer comes at once, before whatever was started has ended."""
         command = int(received.message.command)

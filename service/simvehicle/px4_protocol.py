@@ -1,4 +1,4 @@
-"""PX4's parameter protocol: bit-copied integers, an echo at once, everything unsaved told again, and its weak spots."""
+"""PX4's parameter protocol: integers copied bit by bit, an immediate echo, unsaved values repeated, and its faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion without an operator: what the vehicle does by itself, in vehicle time."""
+"""Motion without an operator, in vehicle time."""
 
 from __future__ import annotations
 

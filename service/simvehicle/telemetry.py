@@ -39,7 +39,7 @@ BARO_WARMER_THAN_IMU = 1.0  # °C: HIGHRES_IMU carries this temperature on ArduP
 
 @dataclass
 class Block:
-    """The instants of one tick: true state, estimated attitude, motors."""
+    """State at the instants of one tick: the true one, the estimated attitude, and the motors."""
 
     t: list[float]
     state: MotionState
@@ -209,7 +209,6 @@ class InertialSensors(Protocol):
 
     def imu(self, instance: int, state: MotionState) -> ImuReading:
         """Corrected readings of one instance at the times of a state."""
-        ...
 
 
 class Readings(abc.ABC):

@@ -80,6 +80,17 @@ class FlightController(ABC):
 
     # --- to be given by a personality
 
+    device_ids: Mapping[str, tuple[int, ...]]
+    """Ids of the chips: accel, gyro, mag."""
+    flush_saves: Callable[[], None]
+    """Store what waits to be saved."""
+    foreign_set: Callable[[str, float], None]
+    """Another ground station writes a parameter."""
+    start_onboard_calibration: Callable[[], object]
+    """The vehicle begins a calibration of its own."""
+    stop_onboard_calibration: Callable[[], object]
+    """The calibration that the vehicle began by itself is given up; harmless if there is none."""
+
     @abstractmethod
     def make_table(self) -> ParameterTable:
         """The parameters of a new vehicle."""
@@ -109,24 +120,8 @@ class FlightController(ABC):
         """The calibration that the firmware's corrections really use, by parameter name."""
 
     @abstractmethod
-    def flush_saves(self) -> None:
-        """Store what waits to be saved."""
-
-    @abstractmethod
-    def device_ids(self) -> dict[str, tuple[int, ...]]:
-        """Ids of the chips: accel, gyro, mag."""
-
-    @abstractmethod
     def arming_faults(self) -> list[str]:
         """Reasons against arming now; empty: none."""
-
-    @abstractmethod
-    def foreign_set(self, name: str, value: float) -> None:
-        """Another ground station writes a parameter."""
-
-    @abstractmethod
-    def start_onboard_calibration(self) -> None:
-        """The vehicle begins a calibration of its own."""
 
     def banner(self) -> list[str]:
         """Texts sent before a parameter list."""
@@ -134,10 +129,6 @@ class FlightController(ABC):
 
     def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample
         """Take the calibration again from the parameters in force."""
-
-    @abstractmethod
-    def stop_onboard_calibration(self) -> None:
-        """The calibration that the vehicle began by itself is given up; harmless if there is none."""
 
     # --- parameters given from outside
 

@@ -28,41 +28,29 @@ DEFAULT_TREMOR_DEG = 0.2
 class Process(Protocol):
     """What the verbs ask of the process that keeps the vehicle going."""
 
-    @property
-    def vehicle(self) -> Any:
-        """The vehicle; its personality has more than every vehicle has."""
-        ...
+    vehicle: Any
+    """The vehicle; its personality has more than every vehicle has."""
 
-    @property
-    def injector(self) -> Injector:
-        """Its faults."""
-        ...
+    injector: Injector
+    """Its faults."""
 
-    @property
-    def speed(self) -> float:
-        """Seconds of the vehicle's time in one of the wall clock."""
-        ...
+    speed: float
+    """Seconds of the vehicle's time in one of the wall clock."""
 
-    @property
-    def lag_s(self) -> float:
-        """Delay of the last tick, s of the wall clock."""
-        ...
+    lag_s: float
+    """Delay of the last tick, s of the wall clock."""
 
     def set_speed(self, value: float) -> None:
         """Go at another speed. Raises ControlError if it is none."""
-        ...
 
     def run_script(self, name: str) -> None:
         """Begin the movements of that name. Raises ControlError if there are none."""
-        ...
 
     def stop_script(self) -> None:
         """End the movements."""
-        ...
 
     def stop(self) -> None:
         """End the process."""
-        ...
 
 
 class Verbs:
@@ -274,7 +262,7 @@ def truth_report(vehicle: FlightController, since: float | None = None, until: f
     truth for the field in the body frame: raw_body = R · raw.
     """
     world, config = vehicle.world, vehicle.config
-    ids = vehicle.device_ids()
+    ids = vehicle.device_ids
     last = vehicle.time if until is None else until
     first = last if since is None else since
     t = np.linspace(first, last, 2 + int(max(last - first, 0.0)))

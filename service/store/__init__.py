@@ -5,8 +5,6 @@ keeps it in one SQLite file inside a data directory that one process owns. Rows 
 know what a job or a plan means.
 """
 
-from __future__ import annotations
-
 from mavcal.service.store.sql import Store
 from mavcal.service.store.sqlite import SqliteStore
 

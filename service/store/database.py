@@ -18,7 +18,6 @@ class Session(Protocol):
 
     def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run one statement; the rows that it returns, if any."""
-        ...
 
 
 class Database(Session, Protocol):
@@ -31,36 +30,27 @@ class Database(Session, Protocol):
 
     def alone(self) -> AbstractContextManager[Any]:
         """Lock the writing connection to the calling thread."""
-        ...
 
     def begin(self, *, durable: bool) -> None:
         """Begin a transaction; what is not `durable` may be lost with the power, later transactions with it."""
-        ...
 
     def commit(self) -> None:
         """Commit the transaction; a durable one now survives a loss of power."""
-        ...
 
     def rollback(self) -> None:
         """Take back what was not committed; without a transaction nothing happens."""
-        ...
 
     def in_order(self) -> None:
         """Lock the sequence that all writers share until the end of this transaction."""
-        ...
 
     def read(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """The rows last committed, read without waiting for the writer."""
-        ...
 
     def snapshot(self) -> AbstractContextManager[Session]:
         """Several statements that see one state of the database."""
-        ...
 
     def errors(self) -> AbstractContextManager[Any]:
         """Turns errors of the database into StoreError, or DiskFull."""
-        ...
 
     def close(self) -> None:
         """Close every connection."""
-        ...

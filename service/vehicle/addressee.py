@@ -13,40 +13,28 @@ from mavcal.service.vehicle.waits import Waits
 class Addressee(Protocol):
     """A vehicle that messages can be sent to, with its pending answers and its state."""
 
-    @property
-    def system(self) -> int:
-        """Its system id."""
-        ...
+    system: int
+    """Its system id."""
 
-    @property
-    def component(self) -> int:
-        """Its component id."""
-        ...
+    component: int
+    """Its component id."""
 
     @property
     def own(self) -> OwnIdentity:
         """Our own ids in the messages to it, to which it answers."""
-        ...
 
-    @property
-    def waits(self) -> Waits:
-        """The answers that are awaited from it."""
-        ...
+    waits: Waits
+    """The answers that are awaited from it."""
 
-    @property
-    def state(self) -> VehicleState:
-        """The latest state."""
-        ...
+    state: VehicleState
+    """The latest state."""
 
     @property
     def silent(self) -> bool:
         """Whether its last heartbeat is more than 3 s older than what was read of the link."""
-        ...
 
     def clock(self) -> float:
         """Monotonic time, s."""
-        ...
 
     def send(self, message: Message | RawMessage) -> None:
         """Send to it. Raises LinkDown if that is not possible."""
-        ...

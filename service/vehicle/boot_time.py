@@ -1,4 +1,4 @@
-"""The times that messages carry, and what they tell: a restart, and whether two links lead to one vehicle."""
+"""Time stamps of messages: they show a restart, and whether two links lead to one vehicle."""
 
 from __future__ import annotations
 

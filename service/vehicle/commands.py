@@ -97,7 +97,6 @@ class Commanded(Addressee, Protocol):
 
     def command_lock(self, command_id: int) -> AbstractAsyncContextManager[None]:
         """An acknowledgement names only the command: one of a kind at a time."""
-        ...
 
 
 async def command(

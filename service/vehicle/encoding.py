@@ -31,8 +31,6 @@ class Parameter:
         Its place in the vehicle's list, or None if it came without one (65535).
     bits
         The four bytes as they were sent.
-    heard_at
-        Monotonic clock, s.
     """
 
     name: str
@@ -40,7 +38,6 @@ class Parameter:
     kind: ParamType
     index: int | None
     bits: bytes
-    heard_at: float
 
 
 def bits_from_value(name: str, value: float, kind: ParamType, encoding: ParameterEncoding) -> bytes:

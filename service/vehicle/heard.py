@@ -1,6 +1,4 @@
-"""Which messages a vehicle needs of its links."""
-
-from __future__ import annotations
+"""Messages that a vehicle needs from its links."""
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 

@@ -1,4 +1,4 @@
-"""How long a vehicle takes to answer, so that nothing is asked again while its answer is still under way.
+"""Response time of a vehicle: nothing is asked again while its answer may still be under way.
 
 And how many of its answers are lost, so that silence proves what it can.
 """

@@ -27,11 +27,7 @@ from mavcal.service.errors import (
     VehicleSilent,
 )
 from mavcal.service.vehicle.addressee import Addressee
-from mavcal.service.vehicle.encoding import (
-    Parameter,
-    bits_from_value,
-    same_value,
-)
+from mavcal.service.vehicle.encoding import Parameter, bits_from_value, same_value
 from mavcal.service.vehicle.identity import VehicleIdentity
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.waits import Expectation
@@ -62,40 +58,30 @@ class Echo:
         As the vehicle holds it now.
     sent
         How many PARAM_SET messages it took.
-    confirmed_by
-        ``"echo"`` or ``"read"``.
     """
 
     parameter: Parameter
     sent: int
-    confirmed_by: str
 
 
 class Holder(Addressee, Protocol):
     """The vehicle that holds the parameters."""
 
-    @property
-    def identity(self) -> VehicleIdentity:
-        """Identity of the vehicle, which decides how it encodes values."""
-        ...
+    identity: VehicleIdentity
+    """Identity of the vehicle, which decides how it encodes values."""
 
-    @property
-    def pace(self) -> Pace:
-        """Pace of its answers."""
-        ...
+    pace: Pace
+    """Pace of its answers."""
 
     @property
     def way(self) -> str:
         """Name of the link in use: it changes when that falls silent and there is another one."""
-        ...
 
     async def caught_up(self) -> None:
         """Return once everything that it has said by now is known. Raises LinkDown."""
-        ...
 
     def require_writable(self, *, name: str = "", sent: int = 0) -> None:
         """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
-        ...
 
 
 class _Other:
@@ -141,19 +127,19 @@ class Parameters(Mapping[str, Parameter]):
 
         return unlisten
 
-    def hear(self, frame: Frame, now: float) -> None:
+    def hear(self, frame: Frame) -> None:
         """Take note of a PARAM_VALUE; one with an unknown type or a value that is no number is remembered too."""
-        heard = self._parameter(frame, now)
+        heard = self._parameter(frame)
         if heard is None:
             return
         before = self._known.get(heard.name)
         if heard.index is None and before is not None:
-            heard = Parameter(heard.name, heard.value, heard.kind, before.index, heard.bits, now)
+            heard = replace(heard, index=before.index)
         self._known[heard.name] = heard
         for listener in list(self._listeners.values()):
             listener(heard, before)
 
-    def _parameter(self, frame: Frame, now: float) -> Parameter | None:
+    def _parameter(self, frame: Frame) -> Parameter | None:
         """Read a PARAM_VALUE, or None if it is PX4's hash or of a type this protocol does not carry."""
         heard = heard_value(frame, self.encoding)
         if heard is None:
@@ -163,7 +149,7 @@ class Parameters(Mapping[str, Parameter]):
             self.count = heard.count
         if heard.kind is None:
             return None
-        return Parameter(heard.name, heard.value, heard.kind, heard.index, heard.bits, now)
+        return Parameter(heard.name, heard.value, heard.kind, heard.index, heard.bits)
 
     def forget(self) -> None:
         """Forget every value, since the vehicle has restarted."""
@@ -206,7 +192,7 @@ class Parameters(Mapping[str, Parameter]):
         def match(frame: Frame) -> Parameter | ParameterError | _Other | None:
             if frame.message_id == _ERROR:
                 return _refusal(vehicle, frame, name)
-            parameter = self._parameter(frame, vehicle.clock())
+            parameter = self._parameter(frame)
             if parameter is None or parameter.name == name:
                 return parameter
             expected_too = parameter.name == other if other is not None else parameter.index == 0
@@ -281,7 +267,7 @@ class Parameters(Mapping[str, Parameter]):
         def match(frame: Frame) -> Parameter | ParameterError | None:
             if frame.message_id == _ERROR:
                 return _refusal(vehicle, frame, name)
-            parameter = self._parameter(frame, vehicle.clock())
+            parameter = self._parameter(frame)
             if parameter is None or parameter.name != name or parameter.kind is not kind:
                 return None
             return parameter if same_value(parameter.bits, bits, kind, encoding) else None
@@ -302,7 +288,7 @@ class Parameters(Mapping[str, Parameter]):
                         raise got
                     if got is not None:
                         self._note(got)
-                        return Echo(got, sent, "echo")
+                        return Echo(got, sent)
             settled = await self._settle(name, value, bits, kind, sent)
             if isinstance(settled, Echo):
                 return settled
@@ -340,7 +326,7 @@ class Parameters(Mapping[str, Parameter]):
             exc.sent = sent
             raise
         if held.kind is kind and same_value(held.bits, bits, kind, self.encoding):
-            return Echo(held, sent, "read")
+            return Echo(held, sent)
         return ParameterRejected(f"{name}: {value} was written, the vehicle holds {held.value}.", name=name, sent=sent)
 
     async def _kind(self, name: str, kind: ParamType | None) -> ParamType:

@@ -1,4 +1,4 @@
-"""The ledger of message rates of one vehicle: who watches, whose rates are being returned, what is set on which link.
+"""Message rates of one vehicle: its watchers, rates that are being restored, and what is set on which link.
 
 A :class:`~service.vehicle.vehicle.Vehicle` owns it. Watches and returns belong to the unit: where it is found anew, its
 new ledger takes them over (:class:`service.rates.ledger.RateLedgers`). What is set on a link ends with the vehicle.

@@ -56,7 +56,6 @@ class VehicleRegistry:
         self._subscribers: dict[object, VehicleCallback] = {}
         self._identifying: dict[Vehicle, asyncio.Task[None]] = {}
         self._kin = Kin(clock)
-        self._changed: set[asyncio.Future[None]] = set()
         self._ticker: asyncio.TimerHandle | None = None
         self._turns: list[tuple[int, tuple[str, int, int]]] = []
         """Whose turn is still to come in this round, numbered."""
@@ -136,26 +135,10 @@ class VehicleRegistry:
             if vehicle_id == vehicle.id:
                 return vehicle
         for vehicle in units:
-            if vehicle_id in _places(vehicle):
+            if vehicle_id in (place(link, vehicle) for link in vehicle.links):
                 return vehicle
         heard = ", ".join(vehicle.id for vehicle in units) or "none"
         raise VehicleUnknown(f"There is no vehicle {vehicle_id}; heard so far: {heard}.")
-
-    async def wait_for_vehicle(self, link: Link | None = None, *, identified: bool = True) -> Vehicle:
-        """Wait for the first vehicle (on this link), by default until it is known who it is.
-
-        Wrap it in ``asyncio.timeout``: it waits for ever.
-        """
-        while True:
-            for vehicle in self.all():
-                if (link is None or link in vehicle.links) and (vehicle.identity.known or not identified):
-                    return vehicle
-            changed = asyncio.get_running_loop().create_future()
-            self._changed.add(changed)
-            try:
-                await changed
-            finally:
-                self._changed.discard(changed)
 
     def subscribe(self, callback: VehicleCallback) -> Callable[[], None]:
         """Hand every event of every vehicle to `callback`, until the function returned here is called."""
@@ -272,9 +255,6 @@ class VehicleRegistry:
         loop = asyncio.get_running_loop()
         for key in list(self._subscribers):
             loop.call_soon(self._hand_event, key, event)
-        for changed in self._changed:
-            if not changed.done():
-                changed.set_result(None)
 
     def _hand_event(self, key: object, event: VehicleEvent) -> None:
         callback = self._subscribers.get(key)
@@ -326,7 +306,3 @@ def is_vehicle(heartbeat: Any) -> bool:
 def place(link: Link, vehicle: Vehicle) -> str:
     """The id that a vehicle without a unique one has from the link on which it was found."""
     return f"{link.id}-{vehicle.system}-{vehicle.component}"
-
-
-def _places(vehicle: Vehicle) -> tuple[str, ...]:
-    return tuple(place(link, vehicle) for link in vehicle.links)

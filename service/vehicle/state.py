@@ -1,7 +1,8 @@
 """What is known about a vehicle at this moment, and whether it may be written to.
 
 :func:`reduce` is pure: a state, a message and a time make the next state. All times are of the monotonic clock.
-:func:`watch_calibration` reads every sign that a firmware gives of calibrating itself.
+:func:`watch_calibration` reads every sign that a firmware gives of calibrating itself. Long texts come in chunks, by id
+and number (:func:`add_chunk`).
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import Any, NoReturn
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire.codec import Message
+from mavcal.calib.wire.texts import CHUNK_BYTES, joined_text, text_bytes
 from mavcal.service.errors import VehicleArmed, VehicleBusy, VehicleConflict, VehicleError, VehicleSilent
-from mavcal.service.vehicle.texts import ChunkedText, StatusText, add_chunk
 
 SILENT_S = 3.0
 """A vehicle whose last heartbeat is older than this is silent (FLIGHT_CONTROLLERS 3.2: heartbeat age < 3 s)."""
@@ -22,6 +23,8 @@ DISARMED_S = 2.0
 LANDED_FRESH_S = 10.0
 """A landed state older than this says no more than UNDEFINED."""
 KEPT_TEXTS = 50
+_CHUNKS_WAIT_S = 5.0
+_MOST_TEXTS_WAITING = 8
 
 
 class Landed(StrEnum):
@@ -354,3 +357,53 @@ def _report(running: OnboardCalibration | None, message: Message, now: float) ->
         return None if running and running.sign in (CalibrationSign.MAG, CalibrationSign.REPORT) else running
     what = "a compass calibration has ended and waits to be accepted or cancelled"
     return _goes_on(running, CalibrationSign.REPORT, what, now)
+
+
+@dataclass(frozen=True)
+class StatusText:
+    """A complete text; severity 0 (emergency) to 7 (debug), time of the monotonic clock."""
+
+    text: str
+    severity: int
+    at: float
+
+
+@dataclass(frozen=True)
+class ChunkedText:
+    """A text whose end has not come yet."""
+
+    id: int
+    severity: int
+    at: float
+    pieces: tuple[tuple[int, bytes], ...]
+
+    def complete(self) -> bool:
+        """True if the last chunk, which is shorter, and all before it are there."""
+        numbers = [number for number, _ in self.pieces]
+        last = max(self.pieces)
+        return len(last[1]) < CHUNK_BYTES and numbers == list(range(len(numbers)))
+
+    def text(self, at: float) -> StatusText:
+        """The chunks that came, with a mark where one is missing."""
+        pieces = dict(self.pieces)
+        gap = "…".encode()
+        joined = joined_text(pieces.get(number, gap) for number in range(max(pieces) + 1))
+        return StatusText(joined, self.severity, at)
+
+
+def add_chunk(
+    waiting: tuple[ChunkedText, ...], message: Message, now: float
+) -> tuple[tuple[ChunkedText, ...], tuple[StatusText, ...]]:
+    """Take a STATUSTEXT; return the texts still waiting, and those now as complete as they will ever be."""
+    done = [chunked.text(now) for chunked in waiting if now - chunked.at > _CHUNKS_WAIT_S]
+    waiting = tuple(chunked for chunked in waiting if now - chunked.at <= _CHUNKS_WAIT_S)
+    if message.id == 0:
+        return waiting, (*done, StatusText(joined_text([text_bytes(message)]), message.severity, now))
+    before = next((chunked for chunked in waiting if chunked.id == message.id), None)
+    others = tuple(chunked for chunked in waiting if chunked.id != message.id)
+    pieces = dict(before.pieces if before else ())
+    pieces[message.chunk_seq] = text_bytes(message)
+    chunked = ChunkedText(message.id, message.severity, before.at if before else now, tuple(sorted(pieces.items())))
+    if chunked.complete():
+        return others, (*done, chunked.text(now))
+    return (*others, chunked)[-_MOST_TEXTS_WAITING:], tuple(done)

@@ -27,13 +27,7 @@ from mavcal.service.link.capacity import (
 )
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.arrivals import watch
-from mavcal.service.vehicle.intervals import (
-    DEFAULT_INTERVAL,
-    get_interval,
-    get_intervals,
-    set_interval,
-    set_intervals,
-)
+from mavcal.service.vehicle.intervals import DEFAULT_INTERVAL, get_interval, get_intervals, set_interval, set_intervals
 
 if TYPE_CHECKING:
     from mavcal.service.vehicle.vehicle import Vehicle

@@ -10,13 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire.codec import Message, RawMessage, decode
 from mavcal.calib.wire.frames import Frame
-from mavcal.service.errors import (
-    CommandTimeout,
-    LinkDown,
-    ServiceError,
-    VehicleBusy,
-    VehicleConflict,
-)
+from mavcal.service.errors import CommandTimeout, LinkDown, ServiceError, VehicleBusy, VehicleConflict
 from mavcal.service.link.link import Link
 from mavcal.service.link.types import Batch, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
@@ -262,7 +256,7 @@ class Vehicle:
         elif used and message_id in STATE_IDS:
             self._change(reduce(self.state, decode(frame), now, since))
         elif used and message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            self.parameters.hear(frame, now)
+            self.parameters.hear(frame)
         elif message_id == VERSION_ID:
             self._identified(decode(frame), channel, now)
         self.waits.feed(frame, beside=not used)

@@ -4,5 +4,3 @@ What runs is what a single machine runs in its child processes, within the same 
 order and, in the end, its result; ``procrastinate`` hands it to a worker, one a vehicle at a time, and to another one
 if that dies. Recordings are read from a folder that all share; none of their bytes is in the database.
 """
-
-from __future__ import annotations

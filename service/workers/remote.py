@@ -15,12 +15,11 @@ import structlog
 from mavcal.service.children.limits import Limits
 from mavcal.service.children.pool import ProgressCallback, refusal
 from mavcal.service.errors import ChildEnded, StoreError
-from mavcal.service.workers.orders import Orders
+from mavcal.service.workers.orders import Json, Orders
 from mavcal.service.workers.queue import QUEUE, TASK, app_of, lock_of, moved
 
 log = structlog.get_logger(__name__)
 
-Json = dict[str, Any]
 
 LOOK_S = 0.3
 """How often a result is looked for."""

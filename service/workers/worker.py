@@ -22,12 +22,11 @@ from mavcal.calib.errors import CalibError
 from mavcal.service.children import Children, Limits
 from mavcal.service.errors import ServiceError, StoreError
 from mavcal.service.settings import Settings
-from mavcal.service.workers.orders import Computation, Orders
+from mavcal.service.workers.orders import Computation, Json, Orders
 from mavcal.service.workers.queue import QUEUE, TASK, app_of, moved
 
 log = structlog.get_logger(__name__)
 
-Json = dict[str, Any]
 
 MOST_STARTS = 3
 WATCH_S = 1.0

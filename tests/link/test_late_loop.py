@@ -20,6 +20,7 @@ from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.state import SILENT_S
 from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
+from tests.vehicles import first_vehicle
 
 NAME = "INS_ACCOFFS_X"
 LATE_S = SILENT_S + 1.5
@@ -44,7 +45,7 @@ async def vehicle(sim: SimulatedVehicle, told: list[VehicleEventKind], tmp_path:
     registry.attach(link)
     await link.open()
     async with asyncio.timeout(scaled(20)):
-        found = await registry.wait_for_vehicle(link)
+        found = await first_vehicle(registry, link)
         while not found.writable().ok:  # noqa: ASYNC110 - the condition is about another process
             await asyncio.sleep(0.05)
     yield found

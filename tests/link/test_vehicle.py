@@ -25,6 +25,7 @@ from mavcal.service.vehicle.state import Landed
 from mavcal.service.vehicle.streams import request_streams
 from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
+from tests.vehicles import first_vehicle
 
 Finder = Callable[..., Awaitable[Vehicle]]
 
@@ -49,7 +50,7 @@ class Ground:
     async def vehicle(self, url: str) -> Vehicle:
         link = await self.link(url)
         async with asyncio.timeout(scaled(15)):
-            return await self.registry.wait_for_vehicle(link)
+            return await first_vehicle(self.registry, link)
 
     async def until(self, condition: Callable[[], Any], seconds: float = 10.0) -> None:
         async with asyncio.timeout(scaled(seconds)):

@@ -21,6 +21,7 @@ from mavcal.service.vehicle.job_vehicle import VehicleSource
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
 from tests.patience import scaled
+from tests.vehicles import first_vehicle
 
 SPEED = 10.0
 GYRO = tuple(f"INS_GYR{n}OFFS_{axis}" for n in ("O", "2", "3") for axis in "XYZ")
@@ -76,7 +77,7 @@ async def session(
         await link.open()
         await engine.start()
         async with asyncio.timeout(scaled(20)):
-            vehicle = await registry.wait_for_vehicle(link)
+            vehicle = await first_vehicle(registry, link)
         yield Session(store, registry, link, engine, vehicle)
     finally:
         await engine.stop()

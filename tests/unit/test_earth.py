@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import EarthField, earth_field, local_gravity
 from mavcal.calib.errors import InvalidInputError
+from tests.fields import field_of
 
 
 def test_reproduces_a_published_evaluation() -> None:
@@ -96,7 +97,7 @@ def test_longitude_is_periodic() -> None:
 
 
 def test_elements_round_trip() -> None:
-    field = EarthField.from_elements(49.0, math.radians(66.0), math.radians(-3.0), norm_sd=0.15)
+    field = field_of(49.0, math.radians(66.0), math.radians(-3.0), norm_sd=0.15)
     assert field.norm == pytest.approx(49.0)
     assert math.degrees(field.inclination) == pytest.approx(66.0)
     assert math.degrees(field.declination) == pytest.approx(-3.0)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from examples.made import OFFSET, REAL
-from mavcal.calib.firmware.export import read_export
+from mavcal.calib.firmware.export import ParameterFormat
+from tests.parameter_files import read_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.py") if p.stem not in {"__init__", "made"})
@@ -40,7 +41,7 @@ def test_a_compass_from_a_flight_finds_its_offset(run, tmp_path):
     said = run("compass_from_flight")
     assert "mag-flight of mag 1: ok" in said
     assert "9 parameters" in said
-    values = read_export(tmp_path / "compass.param")
+    values = read_parameters((tmp_path / "compass.param").read_text(), ParameterFormat.PARAM)
     found = [-0.1 * values[f"COMPASS_OFS_{axis}"] for axis in "XYZ"]  # uT; the firmware adds it, in mGauss
     np.testing.assert_allclose(found, OFFSET, atol=1.2)
 

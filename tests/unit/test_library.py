@@ -14,9 +14,10 @@ import pytest
 
 import mavcal.calib as library
 from mavcal.calib.errors import FirmwareError, InvalidInputError
-from mavcal.calib.firmware.export import read_export
+from mavcal.calib.firmware.export import ParameterFormat
 from mavcal.calib.gap.schema import GapReport, GapVerdict, Inputs
 from mavcal.calib.recording import Channel, Identity, ParameterTimeline, Recording, Sensor, Stage
+from tests.parameter_files import read_parameters
 from tests.unit.firmware.conftest import ardupilot_parameters  # noqa: F401 - a fixture
 
 STUB = Path(library.__file__).with_suffix(".pyi")
@@ -91,7 +92,7 @@ def test_a_parameter_file_starts_from_the_parameters_of_the_log(compass, tmp_pat
     )
     (fit,) = library.fit_recording(log, "mag-ellipsoid")
     written = library.save_fits([fit], tmp_path / "compass.param", log)
-    values = read_export(tmp_path / "compass.param")
+    values = read_parameters((tmp_path / "compass.param").read_text(), ParameterFormat.PARAM)
     assert written >= len(values) > 3
     assert values["COMPASS_OFS_X"] == pytest.approx(-120.0, abs=3.0)  # mGauss, added by the firmware
     with pytest.raises(FirmwareError, match="a parameter file ends in"):

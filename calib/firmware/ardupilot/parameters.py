@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import names
@@ -25,7 +24,7 @@ from mavcal.calib.firmware.rotations import euler_matrix, rotation_matrix
 from mavcal.calib.firmware.slots import ardupilot_calibration_names as calibration_names
 from mavcal.calib.firmware.slots import ardupilot_sensor_ids as sensor_ids
 from mavcal.calib.firmware.values import need, vector
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 if TYPE_CHECKING:
@@ -47,7 +46,6 @@ __all__ = [
     "sensor_ids",
 ]
 
-Array = NDArray[np.float64]
 
 T_REF: Final = 35.0
 """Reference of the thermal polynomial, degC; not a parameter."""

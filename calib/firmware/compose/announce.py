@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose.draft import Draft, Subject
 from mavcal.calib.firmware.rotations import rotation_angle
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Sensor
 
 ALIGNED = 1e-9
 """rad; smaller turns are rounding."""

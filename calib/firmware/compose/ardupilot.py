@@ -1,4 +1,4 @@
-"""Fits into ArduPilot's parameters: accelerometers, gyroscopes and their temperature (FLIGHT_CONTROLLERS 1.1, 1.2).
+"""Turns accelerometer and gyroscope fits, drift included, into ArduPilot's parameters (FLIGHT_CONTROLLERS 1.1, 1.2).
 
 ``u = s - P(T) + P(CALTEMP)`` and ``c = SCAL (u - OFFS)``: the offset stands for one temperature, CALTEMP, and an
 unknown CALTEMP (-300) is silently taken as TMIN. Offset and CALTEMP are therefore written together.
@@ -18,7 +18,6 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
@@ -38,10 +37,9 @@ from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.names import OFFSET, SCALE, THERMAL, Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import ThermalPolynomial
 
-Array = NDArray[np.float64]
 Names = Mapping[Role, str]
 
 ORDERS: Final = (1, 2, 3)

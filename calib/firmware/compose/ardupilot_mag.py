@@ -1,4 +1,4 @@
-"""Fits into ArduPilot's compass parameters (FLIGHT_CONTROLLERS 1.3).
+"""Turns compass fits into ArduPilot's parameters (FLIGHT_CONTROLLERS 1.3).
 
 ``c = M (s (R m + OFS)) + MOT``: the offset is *added*, in mGauss, in the *body* frame. A fit in the raw sensor frame
 (``C (m - b)``) is therefore turned into the body first: ``M = R S R^T``, ``OFS = -R b``. The whole symmetric matrix can
@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
@@ -35,9 +34,7 @@ from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.rotations import rotation_matrix, rotation_words
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.mag.free_rotation import Euler
-from mavcal.calib.recording import Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Sensor
 
 
 def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.compose.content import Correction
@@ -14,10 +13,9 @@ from mavcal.calib.firmware.compose.draft import Draft, Subject
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.fit import AXES, FitResult, FitStatus
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 InForce = Callable[[Mapping[str, Value], Sensor, int], TriadModel]
 
 

@@ -1,4 +1,4 @@
-"""The motors' field at a compass into parameters, and what is wrong with those in force (FLIGHT_CONTROLLERS 1.3, 1.4).
+"""Turns the motors' field at a compass into parameters, and judges those in force (FLIGHT_CONTROLLERS 1.3, 1.4).
 
 =========  =================================================================================================
 ArduPilot  ``c = M (s (R m + OFS)) + MOT * drive``: *added* behind the matrix, body axes, mGauss per A (COMPASS_MOTCT 2)
@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import names
@@ -30,9 +29,7 @@ from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.mag.motor_drives import METHOD
-from mavcal.calib.recording import ParameterTimeline, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, ParameterTimeline, Sensor
 
 ARDUPILOT_KINDS: Final[Mapping[str, int]] = {"throttle": 1, "current": 2}
 PX4_KINDS: Final[Mapping[str, int]] = {"throttle": 1, "current": 2}

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.names import ROTATION_EULER, Role
@@ -22,9 +21,7 @@ from mavcal.calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rot
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.free_rotation import Euler, angle_between, euler_angles
 from mavcal.calib.mag.orientation import ASKEW, MountingVerdict
-from mavcal.calib.recording import Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Sensor
 
 EXACT = 1e-6  # rad
 DECIMALS = 2

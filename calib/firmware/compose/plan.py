@@ -1,4 +1,4 @@
-"""Fits into a plan of writing: one function for every autopilot.
+"""Turns fits into a write plan for either autopilot.
 
 What the firmware cannot store, ignores or overwrites is said in the plan (losses and warnings); what must not be
 written at all is a blocker. The plan is pure data; the service executes it.
@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import losses
@@ -38,10 +37,9 @@ from mavcal.calib.firmware.plan import Agreement, Fingerprint, LeftOut, Loss, Va
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.significance import Judged, agreed, within
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
-Array = NDArray[np.float64]
 __all__ = ["ComposeOptions", "compose", "unwritable"]
 Composer = Callable[[Draft, Sequence[Pair]], None]
 DEFAULT_OPTIONS: Final = ComposeOptions()

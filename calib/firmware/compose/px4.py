@@ -1,4 +1,4 @@
-"""Fits into PX4's accelerometer and gyroscope parameters, and those of their temperature (FLIGHT_CONTROLLERS 1.4).
+"""Turns accelerometer and gyroscope fits, drift included, into PX4's parameters (FLIGHT_CONTROLLERS 1.4).
 
 ``b = L R [(a - TC(T) - OFF) o SCALE]``. Rows are matched by device id; small changes do not reach the memory that
 corrects (:mod:`calib.firmware.compose.px4_memory`).
@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import losses, names
@@ -44,9 +43,8 @@ from mavcal.calib.firmware.names import THERMAL, Role
 from mavcal.calib.firmware.options import how
 from mavcal.calib.firmware.values import asks_for_save
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 
-Array = NDArray[np.float64]
 Names = Mapping[Role, str]
 
 ENABLED: Final = 1

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.values import FLT_EPSILON, LEAST_KEPT
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.triad import ThermalPolynomial
-
-Array = NDArray[np.float64]
+from mavcal.calib.triad import Array, ThermalPolynomial
 
 ORDINALS: Final = ("linear", "quadratic", "cubic")
 NODES: Final = 201

@@ -1,4 +1,4 @@
-"""Fits into PX4's magnetometer parameters (FLIGHT_CONTROLLERS 1.4).
+"""Turns magnetometer fits into PX4's parameters (FLIGHT_CONTROLLERS 1.4).
 
 ``b = L R S (m + p COMP - OFF)``: the offset is *subtracted*, in Gauss, in the *sensor's* frame, which is the frame of
 the raw stream; the whole symmetric matrix can be stored, as far as it differs enough from the neutral one.

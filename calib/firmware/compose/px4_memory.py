@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import names
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
@@ -23,10 +22,8 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.slots import NO_DEVICE_IDS, px4_instance, px4_slot
 from mavcal.calib.fit import AXES
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 NEUTRAL: Mapping[Triple, float] = {names.OFFSET: 0.0, names.SCALE: 1.0, names.CROSS: 0.0}
 NOISE = 7.815

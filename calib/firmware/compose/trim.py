@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
@@ -31,10 +30,8 @@ from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.firmware.significance import level_agreement
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 AHRS_TRIM: Final = ("AHRS_TRIM_X", "AHRS_TRIM_Y")
 NOTICEABLE: Final = 1e-4

@@ -65,8 +65,8 @@ class CertainOffsets:
             return self._certain(join(waiting))
         self._newest = max([self._newest, *(float(c.t[-1]) for c in chunk.channels if len(c))])
         whole, until = join([*self._waiting, chunk]), self._newest - self._hold
-        self._waiting = [_from(whole, until)]
-        return self._certain(_before(whole, until))
+        self._waiting = [_part(whole.between(until, np.inf), [e for e in whole.parameters.entries if e.t >= until])]
+        return self._certain(_part(whole.between(-np.inf, until), [e for e in whole.parameters.entries if e.t < until]))
 
     def _read_entry(self, entry: ParameterEntry) -> None:
         since, value = self._seen.get(entry.name, (entry.t, entry.value))
@@ -87,14 +87,6 @@ class CertainOffsets:
         for start, end in self._doubtful:
             doubtful |= (channel.t >= start) & (channel.t < end)
         return channel.take(~doubtful) if doubtful.any() else channel
-
-
-def _before(recording: Recording, t: float) -> Recording:
-    return _part(recording.between(-np.inf, t), [e for e in recording.parameters.entries if e.t < t])
-
-
-def _from(recording: Recording, t: float) -> Recording:
-    return _part(recording.between(t, np.inf), [e for e in recording.parameters.entries if e.t >= t])
 
 
 def _part(recording: Recording, entries: list[ParameterEntry]) -> Recording:

@@ -24,6 +24,7 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.recording import (
+    Array,
     Channel,
     Event,
     Identity,
@@ -36,7 +37,6 @@ from mavcal.calib.recording import (
 )
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 GUARD_BEFORE_S: Final = 0.5
 GUARD_AFTER_S: Final = 0.1
 """Samples so near to a change are left out: it acts before its echo, and the firmware's filter still rings after it."""
@@ -160,7 +160,7 @@ def undo(recording: Recording) -> Recording:
 
 
 class Undo:
-    """The same for consecutive chunks of one recording: it remembers parameters, temperatures and motor currents.
+    """Undoes the calibration chunk by chunk, and remembers parameters, temperatures and motor currents.
 
     A parameter counts from its first sight on for everything before; every later change counts from its time, and
     samples within half a second of a change that matters to them are left out. On PX4 each change goes through the

@@ -35,10 +35,9 @@ from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, combinations_of, judge
 from mavcal.calib.firmware.proof.known_drift import known_drift
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
-Array = NDArray[np.float64]
 ALL_APPLIED: Hypothesis = frozenset()
 _UNOBSERVABLE: Final = 1e-3
 """Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""

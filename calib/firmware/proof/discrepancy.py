@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.known_drift import KnownDrift
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
-Array = NDArray[np.float64]
 Undo = Callable[[Sequence[StillMean]], Array]
 """Corrected readings to raw ones (K, 3), under one hypothesis."""
 

@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.draft import Subject
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.stillness import Still, find_still, pose_means
-
-Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 8
 LONGEST_READING_S = 6.0

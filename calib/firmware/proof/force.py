@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware import names
@@ -20,10 +19,8 @@ from mavcal.calib.firmware.plan import Change, Value
 from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.slots import CALIBRATED
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
-
-Array = NDArray[np.float64]
 
 _HIDDEN_DEFAULTS: Final = MappingProxyType(
     {

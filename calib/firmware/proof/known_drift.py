@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import ThermalPolynomial
 
-Array = NDArray[np.float64]
 Temperature = float | None
 """degC; None: not streamed."""
 

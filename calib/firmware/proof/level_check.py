@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence, Set
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM, force_when_level
@@ -38,9 +37,7 @@ from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.hypotheses import Hypothesis, judge
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Recording, Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Recording, Sensor
 
 HALF_S: Final = 1.0
 """s of attitude on either side of a reading at rest."""

@@ -1,4 +1,4 @@
-"""Do the sensors read right after a write: a gyroscope at rest zero, an accelerometer gravity, a level board level?
+"""Checks the readings after a write: zero of a gyroscope at rest, gravity of an accelerometer, level of a level board.
 
 The check of the parameters (:mod:`calib.firmware.proof.check`) asks whether they act. The parameters of another, equal
 vehicle act as well, and leave the sensors wrong. Here the stream itself is judged. A limit is what honest causes
@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.compose.draft import Subject
@@ -31,9 +30,7 @@ from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.recording import Sensor
-
-Array = NDArray[np.float64]
+from mavcal.calib.recording import Array, Sensor
 
 SURE: Final = 5.0
 """Standard deviations: one false alarm in a million on one axis, so that a healthy write is not taken back."""

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.content import contents
@@ -34,9 +33,8 @@ from mavcal.calib.firmware.proof.level_check import level_checks
 from mavcal.calib.firmware.proof.sensor_check import sensor_checks
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
-from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.recording import Array, Recording, Sensor
 
-Array = NDArray[np.float64]
 WORTH: Final = 5.0
 """Standard deviations that a movement must promise before an operator is sent to make it."""
 NEAR: Final = 0.97

@@ -21,13 +21,11 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.px4.topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
-from mavcal.calib.recording import Channel, Event, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Event, Sensor, Stage
 
-Array = NDArray[np.float64]
 FIX_3D: Final = 3
 ARMING_STATE_ARMED: Final = 2
 MOST_OUTPUTS: Final = 16

@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import names
@@ -33,7 +32,7 @@ from mavcal.calib.firmware.rotations import euler_matrix, rotation_matrix
 from mavcal.calib.firmware.slots import px4_calibration_names as calibration_names
 from mavcal.calib.firmware.slots import px4_sensor_ids as sensor_ids
 from mavcal.calib.firmware.values import need, vector
-from mavcal.calib.recording import Event, ParameterEntry, Sensor
+from mavcal.calib.recording import Array, Event, ParameterEntry, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 if TYPE_CHECKING:
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 
     from mavcal.calib.firmware.plan import Value
 
-Array = NDArray[np.float64]
 __all__ = [
     "CALIBRATION_PREFIXES",
     "THRESHOLDS",

@@ -25,9 +25,8 @@ from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS, mounting
 from mavcal.calib.firmware.slots import px4_sensor_ids
-from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Event, Oddity, OddSamples, Sensor, Stage
 
-Array = NDArray[np.float64]
 Topic = Mapping[str, NDArray[Any]]
 """Columns of one instance of a topic by field name, equally long."""
 Topics = Mapping[tuple[str, int], Topic]

@@ -1,1 +1,1 @@
-"""What the vehicles' messages carry, as recordings."""
+"""Recordings from the messages of a vehicle."""

@@ -1,4 +1,4 @@
-"""Frames of one vehicle to recordings, chunk by chunk: live from a link, or from a file.
+"""Makes recordings of the frames of one vehicle, chunk by chunk, from a link or a file.
 
 The vehicle's clock from time stamps that wrap, arrive late, or restart after a reboot.
 """
@@ -19,6 +19,7 @@ from mavcal.calib.firmware.stream import auxiliary
 from mavcal.calib.firmware.stream.announcements import Announcements
 from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, INERTIAL, InertialMessage, MessageSensor
 from mavcal.calib.recording import (
+    Array,
     Channel,
     Event,
     Identity,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from mavcal.calib.firmware.plan import Value
     from mavcal.calib.wire.frames import Frame
 
-Array = NDArray[np.float64]
 
 WRAP_S: Final = 2.0**32 / 1000.0
 """A millisecond counter of 32 bits starts again after 49.7 days."""

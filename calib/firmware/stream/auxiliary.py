@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.geometry import quaternion_from_euler
-from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from mavcal.calib.recording import Recording
 
 
-Array = NDArray[np.float64]
 Values = tuple[NDArray[np.bool_], Array]
 
 ATTITUDE: Final = dialect.MAVLINK_MSG_ID_ATTITUDE

@@ -32,9 +32,7 @@ BY_INSTANCE: Final = {
 """The message that carries inertial unit and compass number 0, 1, 2. More are not streamed by either firmware."""
 
 
-def requested_streams(
-    autopilot: str, sensors: Collection[Sensor], instances: Collection[int] = (0, 1, 2)
-) -> dict[int, float]:
+def requested_streams(autopilot: str, sensors: Collection[Sensor]) -> dict[int, float]:
     """Rates in Hz by message id that a job over `sensors` asks for.
 
     ArduPilot's HIGHRES_IMU is asked for besides: it carries the first inertial unit without rounding (boards with
@@ -43,22 +41,15 @@ def requested_streams(
     Raises
     ------
     FirmwareError
-        If the autopilot is neither ArduPilot nor PX4, or streams no such instance.
+        If the autopilot is neither ArduPilot nor PX4.
     """
     if autopilot not in BY_INSTANCE:
         raise FirmwareError(f"mavcal asks ArduPilot and PX4 for streams, not autopilot {autopilot!r}")
-    messages = BY_INSTANCE[autopilot]
-    beyond = [i for i in instances if not 0 <= i < len(messages)]
-    if beyond:
-        raise FirmwareError(
-            f"{autopilot} streams {len(messages)} inertial units; instance {beyond[0]} only appears in logs"
-        )
     inertial = {Sensor.ACCEL, Sensor.GYRO} & set(sensors)
     rate = INERTIAL_HZ if inertial else COMPASS_HZ
-    wanted = {messages[i]: rate for i in instances}
+    wanted = dict.fromkeys(BY_INSTANCE[autopilot], rate)
     if autopilot == "ardupilot":
-        if 0 in instances:
-            wanted[HIGHRES_IMU] = rate
+        wanted[HIGHRES_IMU] = rate
         # silent while no onboard calibration runs, and always silent unless asked for (FLIGHT_CONTROLLERS 9)
         wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS] = STATE_HZ
         wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT] = STATE_HZ

@@ -1,7 +1,5 @@
 """DataFlash logs of ArduPilot: as tables of their messages (:class:`DataFlash`), and as a recording."""
 
-from __future__ import annotations
-
 from mavcal.calib.logs.dataflash.log import DataFlash
 from mavcal.calib.logs.dataflash.reader import read_dataflash, read_dataflash_text
 from mavcal.calib.logs.dataflash.tables import Log, Table

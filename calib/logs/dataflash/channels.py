@@ -6,19 +6,16 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
-from mavcal.calib.logs.dataflash.clock import ordered
+from mavcal.calib.logs.dataflash.clock import Mask, ordered
 from mavcal.calib.logs.time_order import moving
-from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Rounding, Sensor
+from mavcal.calib.recording import Array, Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.clock import Clock
     from mavcal.calib.logs.dataflash.tables import Log, Table
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 INSTANCES: Final = 8
 """No vehicle has more of a kind; a higher number is damage."""

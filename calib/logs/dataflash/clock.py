@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import SAMPLE_TIME_COLUMNS
-from mavcal.calib.recording import Event
+from mavcal.calib.recording import Array, Event
 
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.tables import Log, Table
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STAMPS: Final = (("TimeUS", 1e-6), ("T", 1e-3), ("TimeMS", 1e-3))

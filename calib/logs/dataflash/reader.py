@@ -1,4 +1,4 @@
-"""DataFlash logs to recordings.
+"""Reads DataFlash logs as recordings.
 
 Batches hold some thousand consecutive samples of one sensor at its own rate. ISBH states sensor, instance, time of the
 first sample, rate and scale; each of the following ISBD holds 32 samples as int16 (``BatchSampler.cpp``). Of compass
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError, UnreadableError
 from mavcal.calib.firmware import names
@@ -32,6 +31,7 @@ from mavcal.calib.logs.dataflash.state import dynamics_channels, reference_chann
 from mavcal.calib.logs.dataflash.tables import Log, Table
 from mavcal.calib.logs.dataflash.text import TextLog
 from mavcal.calib.recording import (
+    Array,
     Channel,
     Event,
     Identity,
@@ -46,7 +46,6 @@ from mavcal.calib.recording import (
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.scan import Index
 
-Array = NDArray[np.float64]
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_S: Final = 18
 """GPS time is ahead of UTC by so much since 2017; nothing here depends on a second."""

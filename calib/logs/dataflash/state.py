@@ -23,7 +23,7 @@ from mavcal.calib.firmware.ardupilot.log_fields import INSTANCE_COLUMNS
 from mavcal.calib.firmware.ardupilot.outputs import LEAST_US, MOST_US, motor_outputs
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.logs.dataflash.channels import INSTANCES, instances
-from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.recording import Array, Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.clock import Clock
     from mavcal.calib.logs.dataflash.tables import Log, Table
 
-Array = NDArray[np.float64]
 WHOLE: Final = ("h", "H", "i", "I")
 MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.ATTITUDE: np.full(4, 1.0 + 1e-6),

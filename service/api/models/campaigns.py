@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 
-from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.fleet import Tag
 from mavcal.service.api.models.jobs import DocumentModel
 from mavcal.service.api.models.plans import PlanOptions
 from mavcal.service.api.models.preflight import PreflightModel
+from mavcal.service.api.models.wire import Json, Request, Stamp
 from mavcal.service.campaigns.campaigns import MOST_ITEMS
 from mavcal.service.campaigns.items import ItemOutcome
 from mavcal.service.jobs.core.states import JobState

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypeAliasType
 
-from mavcal.service.api.models.base import Stamp
 from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, WriteModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import LinkModel, VehicleModel
+from mavcal.service.api.models.wire import Stamp
 from mavcal.service.campaigns.items import ItemOutcome
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.states import JobState

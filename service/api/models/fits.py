@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field, computed_field
 
 from mavcal.calib.fit import FitStatus, parameter_names
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Json, Number, Request
+from mavcal.service.api.models.wire import Json, Number, Request
 
 
 class FitRequest(Request):

@@ -12,8 +12,7 @@ from mavcal.calib.fleet.trend import Leaving, Open, Slope
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.history import Covered
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Request, Stamp, Vector
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Request, Stamp, Vector, Wire
 from mavcal.service.settings import TAG
 
 Name = Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")]

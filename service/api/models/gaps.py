@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.service.api.models.wire import Json, Request, Stamp
 from mavcal.service.jobs.core.states import JobState
 
 

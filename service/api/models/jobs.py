@@ -8,11 +8,10 @@ from pydantic import BaseModel, Field
 from typing_extensions import TypeAliasType
 
 from mavcal.calib.preflight.check import Readiness
-from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import LeftOutModel, PlanModel, PlanOptions, VerificationModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Json, Request, Stamp, Wire
 from mavcal.service.jobs.core.model import Attempt, Standing
 from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.states import JobState

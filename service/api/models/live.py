@@ -8,8 +8,7 @@ from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Attitude, Number, Request
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Attitude, Number, Request, Wire
 from mavcal.service.rates.watching import LiveStatus
 
 

@@ -20,8 +20,7 @@ from mavcal.calib.firmware.plan import (
 from mavcal.calib.recording import Sensor
 from mavcal.calib.review.criteria import Criterion
 from mavcal.calib.review.mountings import StatedMounting
-from mavcal.service.api.models.base import Json, Number, Request
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Json, Number, Request, Wire
 
 
 class PlanOptions(Request):

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 
 from mavcal.calib.preflight.check import Check, Verdict
-from mavcal.service.api.models.base import Json, Request, Stamp
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Json, Request, Stamp, Wire
 from mavcal.service.fixing import Fixable
 from mavcal.service.jobs.core.states import JobState
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, Field
 
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Json, Number, Request, Stamp
 from mavcal.service.api.models.fits import FitRequest
 from mavcal.service.api.models.plans import PlanOptions
+from mavcal.service.api.models.wire import Json, Number, Request, Stamp
 
 
 class RecordingJobRequest(FitRequest):

@@ -10,8 +10,7 @@ from mavcal.calib.firmware.storable import Storable
 from mavcal.calib.procedures import protocol
 from mavcal.calib.procedures.protocol import Pose, PromptStep, Silence, Tilt
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Json, Number, Vector
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Json, Number, Vector, Wire
 
 
 class OptionModel(BaseModel):

@@ -12,8 +12,7 @@ from pydantic import BaseModel, Field, SecretStr
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.states import SensorState
-from mavcal.service.api.models.base import Attitude, Number, Request
-from mavcal.service.api.models.wire import Wire
+from mavcal.service.api.models.wire import Attitude, Number, Request, Wire
 from mavcal.service.link.endpoint import Hand
 from mavcal.service.link.types import LinkState
 from mavcal.service.signing_keys import KnownKey

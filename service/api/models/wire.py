@@ -1,4 +1,4 @@
-"""Dataclasses of the domain that go over HTTP as they are: the same fields, and the words of their docstrings."""
+"""What the models share, and dataclasses of the domain that go over HTTP as they are, docstrings included."""
 
 from __future__ import annotations
 
@@ -9,14 +9,37 @@ import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import pairwise
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema
 from pydantic_core import CoreSchema, core_schema
 
 from mavcal.calib.report import to_json
 
 Json = dict[str, Any]
+
+Number = Annotated[int | float, WithJsonSchema({"type": "number"})]
+"""A number as the domain has it: an integer is not turned into a float on its way."""
+
+Vector = Annotated[tuple[float, float, float], WithJsonSchema(
+    {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+)]  # fmt: skip
+"""Three numbers, along x, y and z."""
+
+Attitude = Annotated[
+    tuple[float, float, float, float],
+    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 4}),
+]
+"""A quaternion w x y z."""
+
+Stamp = Annotated[float, Field(description="wall-clock time, s since 1970")]
+
+
+class Request(BaseModel):
+    """The body of a request: a field that is not known is refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
 
 _NUMBER, _INTEGER, _NULL = ({"type": name} for name in ("number", "integer", "null"))
 

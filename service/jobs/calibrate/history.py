@@ -9,7 +9,7 @@ from mavcal.calib.firmware import sensor_ids
 from mavcal.calib.firmware.options import key_text
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.slots import CALIBRATED, px4_sensor_ids
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
+from mavcal.calib.preflight.check import VerifiedCalibration
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json
 from mavcal.service.jobs.calibrate.planning import stated_device_ids

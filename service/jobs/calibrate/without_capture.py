@@ -13,8 +13,8 @@ from mavcal.calib.firmware.options import Key, compose_options
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
+from mavcal.calib.preflight.check import VerifiedCalibration
 from mavcal.calib.preflight.restore import compose_restore, expected_names, require_same_unit
-from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import IllegalTransition, NothingVerified, ServiceError

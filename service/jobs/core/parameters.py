@@ -1,4 +1,4 @@
-"""The parameters that a job rests on, read by name: on a slow link the whole list takes most of a minute."""
+"""Reads the parameters that a job needs by name: on a slow link the whole list takes most of a minute."""
 
 from __future__ import annotations
 

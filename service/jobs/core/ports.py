@@ -17,19 +17,15 @@ class Ownership(Protocol):
 
     async def begin(self, job: Job) -> None:
         """Make a new job ours before anything of it is kept. Raises LeaseLost if that cannot be."""
-        ...
 
     def store_of(self, job: Job) -> Store:
         """The store in which this job is changed: it refuses once the job is not ours any more. Raises LeaseLost."""
-        ...
 
     def ended(self, job: Job) -> None:
         """The task of a job is over."""
-        ...
 
     def changed(self) -> None:
         """An event of a job of ours was kept; from any thread."""
-        ...
 
 
 class Alone:
@@ -59,8 +55,6 @@ class JobRecord(Protocol):
 
     def job_ended(self, job: Job) -> None:
         """A job's task is over, whatever came of it."""
-        ...
 
     async def keep_preflight(self, found: Preflight) -> Preflight:
         """The report as it is sent, with a note if it could not be kept."""
-        ...

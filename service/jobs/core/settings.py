@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class JobSettings:
-    """How patient the engine is."""
+    """Time limits of the engine."""
 
     settle_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"ardupilot": 1.2, "px4": 6.0}))
     """From the last echo to the read-back, by the vehicle's clock where that runs faster than ours.

@@ -33,23 +33,19 @@ class Computations(Protocol):
     @property
     def at_once(self) -> int:
         """Number of computations at a time; further ones wait."""
-        ...
 
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
-        ...
 
     async def fit(
         self, recording: str, method: str, options: Mapping[str, Any], *, progress: ProgressCallback | None = None
     ) -> tuple[FitResult, ...]:
         """Fits by sensor."""
-        ...
 
     async def fit_of_vehicle(
         self, recording: str, method: str, options: Mapping[str, Any]
     ) -> tuple[tuple[FitResult, ...], Origin]:
         """The same fits, and whose sensors they are of. Raises FirmwareError if the recording does not say."""
-        ...
 
     async def diagnose(
         self,
@@ -61,7 +57,6 @@ class Computations(Protocol):
         progress: ProgressCallback | None = None,
     ) -> Diagnosis:
         """The sim-to-real gap of an upload; `limit_s` is its processor time, None: the default."""
-        ...
 
 
 class NoUploads:

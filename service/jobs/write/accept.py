@@ -1,4 +1,4 @@
-"""Accepts of a plan: whether it may be written, who accepted it, and under which idempotency key."""
+"""Acceptance of a plan: whether it may be written, who accepted it, and under which idempotency key."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def succeeded(read: Sequence[Standing], plan: WritePlan, verification: Verificat
     session = {change.name for change in plan.changes if change.session}
     wrong = [s for s in read if s.name not in session and s.holds != Holds.NEW and s.value != s.new]
     if wrong:
-        named = ", ".join(f"{s.name} holds {_number(s.value)} instead of {_number(s.new)}" for s in wrong)
+        named = ", ".join(f"{s.name} holds {shown(s.value)} instead of {shown(s.new)}" for s in wrong)
         raise WriteFailed(f"the read-back differs: {named}")
     away = tuple(s for s in read if s.name in session and s.holds != Holds.OLD)
     proof = proof_of(verification)
@@ -110,15 +110,11 @@ def _changed(away: Sequence[Standing], who: str) -> str:
     """``X, which somebody else set to 0.1 (0.2 before)``; several with their values in brackets."""
     if len(away) == 1:
         only = away[0]
-        return f"{only.name}, which {who} set to {_number(only.value)} ({_number(only.old)} before)"
-    named = [f"{s.name} (now {_number(s.value)}, {_number(s.old)} before)" for s in away[:NAMED]]
+        return f"{only.name}, which {who} set to {shown(only.value)} ({shown(only.old)} before)"
+    named = [f"{s.name} (now {shown(s.value)}, {shown(s.old)} before)" for s in away[:NAMED]]
     more = len(away) - len(named)
     listed = ", ".join(named) + (f" and {more} more" if more else "")
     return f"{listed}, which {who} set"
-
-
-def _number(value: Value | None) -> str:
-    return "unknown" if value is None else shown(value)
 
 
 def conclude(handle: JobHandle, ending: WriteOutcome) -> None:

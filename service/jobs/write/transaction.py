@@ -1,4 +1,4 @@
-"""A write from its accept to its end.
+"""Writes an accepted plan, to its end.
 
 .. code-block:: text
 

@@ -43,35 +43,27 @@ class Log(Protocol):
 
     def begin(self, vehicle: Any) -> None:
         """Log the boot."""
-        ...
 
     def loop(self, vehicle: Any) -> None:
         """Log what is due after a main loop."""
-        ...
 
     def text(self, us: int, text: str) -> None:
         """Log a message in words."""
-        ...
 
     def mode(self, us: int, number: int, reason: int) -> None:
         """Log a change of the flight mode."""
-        ...
 
     def mission(self, us: int, items: Sequence[Item]) -> None:
         """Log an uploaded mission."""
-        ...
 
     def parameter(self, us: int, name: str, value: float) -> None:
         """Log a parameter that was set."""
-        ...
 
     def armed(self, us: int, *, armed: bool) -> None:
         """Log that the motors were armed or disarmed."""
-        ...
 
     def close(self) -> None:
         """Close the log."""
-        ...
 
 
 def takeoff_climb(height: float, target: float) -> float:

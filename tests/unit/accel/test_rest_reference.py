@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.accel.rest_reference import SensorTolerances, angles_of, attitude_from_vectors, fit_rest_reference
-from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus, parameter_names
 from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.examples import examples
+from tests.fields import field_of
 
 G = 9.80665
 FIELD = np.array([20.0, 0.0, 45.0])
@@ -99,7 +99,7 @@ def test_any_attitude_in_any_unit_comes_back(yaw, pitch, roll, scale):
 
 def test_declination_makes_the_heading_true():
     accel, mag = at_rest(Rotation.identity(), np.random.default_rng(5), mag_noise=1e-9)
-    field = EarthField.from_elements(50.0, 1.1, math.radians(7.0))
+    field = field_of(50.0, 1.1, math.radians(7.0))
     fit = fit_rest_reference(accel, mag, field=field)
     assert fit.native["heading_deg"] == pytest.approx(7.0, abs=0.1)
     assert fit.native["north"] == "true"

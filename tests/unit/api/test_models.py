@@ -13,11 +13,11 @@ from pydantic import BaseModel, ValidationError
 from mavcal.calib.firmware.plan import LeftOut, Value
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Number
 from mavcal.service.api.models.fits import FitModel, FitsModel
 from mavcal.service.api.models.jobs import WriteFailedModel
 from mavcal.service.api.models.plans import PlanModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
+from mavcal.service.api.models.wire import Number
 from mavcal.service.api.views import job_model, job_summary, plan_model, procedure_model
 from mavcal.service.jobs.core.codec import to_json
 from mavcal.service.jobs.core.model import Unwritten

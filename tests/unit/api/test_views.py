@@ -147,7 +147,7 @@ def test_a_vehicle_is_told_in_one_page() -> None:
     ("value", "kind", "told"), [(7, ParamType.INT32, 7), (0.5, ParamType.REAL32, 0.5), (np.nan, ParamType.REAL32, None)]
 )
 def test_a_parameter_is_told_in_its_kind(value: float, kind: ParamType, told: float | None) -> None:
-    found = parameter_model(Parameter("X", value, kind, 0, b"", 1.0))
+    found = parameter_model(Parameter("X", value, kind, 0, b""))
     assert found.value == told
     assert type(found.value) is type(told)
     assert found.kind is ParameterKind(kind.name.lower())

@@ -8,17 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.errors import FirmwareError, UnreadableError
+from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.export import (
     MAV_PARAM_TYPE,
     ParameterFormat,
     number,
-    read_export,
-    read_parameters,
     write_export,
     write_plan,
 )
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from tests.parameter_files import read_parameters
 
 FINE = float(np.float32(1.2345678e-7))
 PLAN = WritePlan(
@@ -64,35 +63,6 @@ def test_every_float32_survives_its_text(value):
     assert np.float32(float(number(value))) == np.float32(value)
 
 
-def test_files_of_the_ground_stations_are_read():
-    mission_planner = "#NOTE: 21.11.2026\nINS_ACCOFFS_X,0.001\nINS_ACC_ID,2753028\n"
-    assert read_parameters(mission_planner, ParameterFormat.PARAM) == {"INS_ACCOFFS_X": 0.001, "INS_ACC_ID": 2753028}
-    mavproxy = "INS_ACCOFFS_X    0.001000\nINS_USE 1 # used\n\n"
-    assert read_parameters(mavproxy, ParameterFormat.PARM) == {"INS_ACCOFFS_X": 0.001, "INS_USE": 1}
-    qgc = "# Onboard parameters for Vehicle 1\n1\t1\tCAL_ACC0_ID\t1310988\t6\n1\t1\tCAL_ACC0_XOFF\t1\t9\n"
-    values = read_parameters(qgc, ParameterFormat.PARAMS)
-    assert values == {"CAL_ACC0_ID": 1310988, "CAL_ACC0_XOFF": 1.0}
-    assert isinstance(values["CAL_ACC0_XOFF"], float)
-
-
-@pytest.mark.parametrize(
-    ("text", "form"),
-    [
-        ("INS_ACCOFFS_X 0.1", ParameterFormat.PARAM),
-        ("INS_ACCOFFS_X,nan", ParameterFormat.PARAM),
-        ("INS_ACCOFFS_X,one", ParameterFormat.PARAM),
-        ("A_NAME_OF_SEVENTEEN,1", ParameterFormat.PARAM),
-        ("INS_ACCOFFS_X", ParameterFormat.PARM),
-        ("INS_ACCOFFS_X inf", ParameterFormat.PARM),
-        ("1 1 CAL_ACC0_ID 5 6", ParameterFormat.PARAMS),
-        ("1\t1\tCAL_ACC0_ID\tinf\t6", ParameterFormat.PARAMS),
-    ],
-)
-def test_what_is_no_parameter_file_is_refused_with_its_line(text, form):
-    with pytest.raises(UnreadableError, match="line 2"):
-        read_parameters(f"# comment\n{text}\n", form)
-
-
 def test_a_blocked_plan_is_not_exported():
     blocked = WritePlan(PLAN.fingerprint, PLAN.snapshot_sha256, PLAN.changes, blockers=("out of range",))
     with pytest.raises(FirmwareError, match="out of range"):
@@ -104,7 +74,6 @@ def test_the_ending_chooses_the_format(tmp_path, form):
     path = tmp_path / f"plan.{form}"
     write_export(PLAN, path)
     assert path.read_text() == write_plan(PLAN, form)
-    assert read_export(path) == read_parameters(write_plan(PLAN, form), form)
     with pytest.raises(FirmwareError, match=r"\.param, \.parm, \.params"):
         write_export(PLAN, tmp_path / "plan.txt")
 
@@ -130,8 +99,3 @@ def test_only_qgroundcontrols_file_has_its_table_head():
         text = write_plan(PLAN, form)
         assert ("# Onboard" in text) == (form == ParameterFormat.PARAMS)
         assert ("# Vehicle-Id" in text) == (form == ParameterFormat.PARAMS)
-
-
-def test_a_station_of_another_system_gets_its_own_ids():
-    lines = write_plan(PLAN, ParameterFormat.PARAMS, system=7, component=3).splitlines()
-    assert "7\t3\tCAL_ACC0_XOFF\t0.31\t9" in lines

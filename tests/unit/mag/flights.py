@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import EarthField
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.fields import field_of
 
 Array = NDArray[np.float64]
 
-FIELD = EarthField.from_elements(50.0, np.radians(60.0), np.radians(10.0), norm_sd=0.1)
+FIELD = field_of(50.0, np.radians(60.0), np.radians(10.0), norm_sd=0.1)
 ON_GROUND = 15.0  # s
 
 

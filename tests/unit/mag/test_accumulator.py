@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator, directions_of
 from mavcal.calib.mag.coverage import Coverage
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from tests.examples import examples
+from tests.fields import field_of
 
-FIELD = EarthField.from_elements(49.1, math.radians(66.0), norm_sd=0.15)
+FIELD = field_of(49.1, math.radians(66.0), norm_sd=0.15)
 
 
 @settings(max_examples=examples(15), deadline=None)

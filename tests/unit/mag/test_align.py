@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
 from mavcal.calib.mag.align_solve import AlignmentNoise, align, linear_start
+from tests.fields import field_of
 
 G = 9.80665
 STRENGTH, DIP = 49.0, math.radians(66.0)
-FIELD = EarthField.from_elements(STRENGTH, DIP)
+FIELD = field_of(STRENGTH, DIP)
 OFFSET = np.array([12.0, -8.5, 21.0])
 SOFT = np.array([[1.08, 0.03, -0.02], [0.03, 0.95, 0.04], [-0.02, 0.04, 1.02]])
 MATRIX = SOFT @ Rotation.from_rotvec(np.radians([3.0, 3.2, -2.4])).as_matrix()

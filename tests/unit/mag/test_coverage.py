@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.coverage import CENTRES, Coverage, mask_bytes, ring, sections, visited
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from tests.fields import field_of
 
 
 def test_eighty_sections_of_nearly_one_size() -> None:
@@ -45,9 +46,8 @@ def test_the_prediction_is_what_the_fit_then_states(compass: Any) -> None:
     rng = np.random.default_rng(4)
     for u in (compass.everywhere(rng, 2000), compass.tilted(rng, 2000, 45.0)):
         predicted = Coverage.of(u).heading_sd_deg(0.3 / compass.truth.mean_radius, compass.dip)
-        from mavcal.calib.earth import EarthField
 
-        fit = fit_ellipsoid(compass.read(u, rng), field=EarthField.from_elements(49.1, compass.dip))
+        fit = fit_ellipsoid(compass.read(u, rng), field=field_of(49.1, compass.dip))
         assert fit.quality["heading_sd_deg"] == pytest.approx(predicted, rel=0.15)
 
 

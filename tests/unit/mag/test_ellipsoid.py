@@ -17,8 +17,9 @@ from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from mavcal.calib.mag.shape import Ellipsoid, correction, six_numbers
 from mavcal.calib.mag.shape_fit import estimate_variance
 from tests.examples import examples
+from tests.fields import field_of
 
-FIELD = EarthField.from_elements(49.0, math.radians(66.0), norm_sd=0.15)
+FIELD = field_of(49.0, math.radians(66.0), norm_sd=0.15)
 
 
 def shape_of(fit: Any) -> Ellipsoid:
@@ -107,7 +108,7 @@ def test_the_known_field_ties_the_scale_and_its_error_is_in_the_matrix(compass: 
     assert length.mean() == pytest.approx(49.0, abs=0.02)
     assert fit.quality["field_ratio"] == pytest.approx(compass.truth.mean_radius / 49.0, abs=0.001)
     assert fit.sd[3] / fit.model.matrix[0, 0] == pytest.approx(0.15 / 49.0, rel=0.05)
-    exact = fit_ellipsoid(samples, field=EarthField.from_elements(49.0, 1.0))
+    exact = fit_ellipsoid(samples, field=field_of(49.0, 1.0))
     assert exact.sd[3] < 0.2 * fit.sd[3]
     assert fit.quality["heading_sd_deg"] < 0.05
 
@@ -120,7 +121,7 @@ def test_without_a_field_the_scale_stays_and_says_so(compass: Any, rng: np.rando
 
 
 def test_a_magnet_near_by_is_said(compass: Any, rng: np.random.Generator) -> None:
-    fit = fit_ellipsoid(compass.read(compass.everywhere(rng, 500), rng), field=EarthField.from_elements(30.0, 0.5))
+    fit = fit_ellipsoid(compass.read(compass.everywhere(rng, 500), rng), field=field_of(30.0, 0.5))
     assert fit.status == FitStatus.OK
     assert fit.quality["field_ratio"] == pytest.approx(49.1 / 30.0, abs=0.02)
     assert any("30.0 uT of the magnetic model" in w for w in fit.warnings)

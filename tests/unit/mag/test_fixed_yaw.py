@@ -18,6 +18,7 @@ from mavcal.calib.mag.fixed_yaw import (
     fit_fixed_yaw,
 )
 from mavcal.calib.triad import TriadModel
+from tests.fields import field_of
 
 FIELD = EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
 TURNED = Rotation.from_euler("ZYX", [90.0, 0.0, 180.0], degrees=True).as_matrix()
@@ -59,7 +60,7 @@ def test_its_interval_holds_the_truth_where_everything_errs_as_stated(fitted):
         at = KnownAttitude(STANDING.roll + tilt[0], STANDING.pitch + tilt[1], turned, 0.0)
         dip = FIELD.inclination + math.radians(0.2) * rng.normal()
         norm = FIELD.norm + FIELD.norm_sd * rng.normal()
-        field = EarthField.from_elements(norm, dip, FIELD.declination)
+        field = field_of(norm, dip, FIELD.declination)
         offset = rng.normal(0.0, 20.0, 3)
         read = reading(offset, true, at, field) + 0.05 * rng.normal(size=3)
         fit = fit_fixed_yaw(read, 0.0025 * np.eye(3), 50, TriadModel(matrix=assumed), STANDING, field=FIELD)
@@ -79,7 +80,7 @@ def test_a_compass_that_was_never_calibrated_says_how_little_one_heading_tells_o
 
 
 def test_a_heading_that_is_hardly_known_or_a_field_that_is_hardly_level_is_refused():
-    steep = EarthField.from_elements(60.0, math.radians(86.0), norm_sd=0.15)
+    steep = field_of(60.0, math.radians(86.0), norm_sd=0.15)
     fit = fit_fixed_yaw(
         reading(np.zeros(3), FITTED, field=steep),
         np.zeros((3, 3)),

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.gyro_aided import fit_gyro_aided
 from mavcal.calib.recording import Channel, Sensor, Stage
+from tests.fields import field_of
 
 OFFSET = np.array([10.0, -5.0, 15.0])
 FIELD = np.array([20.0, 5.0, 45.0])  # uT, north-east-down
@@ -151,7 +151,7 @@ def test_a_field_that_is_not_the_earths_is_said(strength, told):
 def test_a_known_field_gives_the_scale_and_its_uncertainty(hand):
     mag, gyro = hand
     size = float(np.linalg.norm(FIELD))
-    place = EarthField.from_elements(size, np.radians(60.0), 0.0, norm_sd=0.05 * size)
+    place = field_of(size, np.radians(60.0), 0.0, norm_sd=0.05 * size)
     bare, known = fit_gyro_aided(mag, gyro, delay=0.0), fit_gyro_aided(mag, gyro, delay=0.0, field=place)
     assert warned(bare, "field strength unknown: the matrix keeps the mean radius")
     assert not warned(known, "field strength unknown")

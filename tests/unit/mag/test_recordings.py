@@ -15,6 +15,7 @@ from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 from mavcal.calib.recording import Sensor
+from tests.fields import field_of
 
 pytestmark = pytest.mark.shared
 
@@ -71,7 +72,7 @@ def fit_of_a_tumble(file: Path, window: float, field: EarthField) -> FitResult:
 
 def test_tumbling_ardupilot(shared_data: Path) -> None:
     """A compass averaged over 100 ms, up to 26 rad/s: within 0.1 mG and 1e-3, inside the stated uncertainty."""
-    field = EarthField.from_elements(58.0029, 1.14, norm_sd=0.0)
+    field = field_of(58.0029, 1.14, norm_sd=0.0)
     fit = fit_of_a_tumble(shared_data / "sitl_captures" / "tumble.tlog", 0.1, field)
     truth = np.concatenate([[-9.0, 5.5, -3.5], SOFT_IRON.ravel()])
     assert fit.status == FitStatus.OK
@@ -83,7 +84,7 @@ def test_tumbling_ardupilot(shared_data: Path) -> None:
 @pytest.mark.long
 def test_tumbling_px4(shared_data: Path) -> None:
     """Raw samples of 2 mG noise; the field strength is the one that the bench holds."""
-    field = EarthField.from_elements(48.236, 1.1, norm_sd=0.02)
+    field = field_of(48.236, 1.1, norm_sd=0.02)
     fit = fit_of_a_tumble(shared_data / "px4_captures" / "bench_tumble.tlog", 0.0, field)
     truth = np.concatenate([[9.0, -5.5, 3.5], np.linalg.inv(SOFT_IRON).ravel()])
     assert fit.status == FitStatus.OK

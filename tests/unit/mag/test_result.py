@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
 from mavcal.calib.earth import beyond_earth, earth_field
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.result import mounting_of, plausible_field, rotation_covariance
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min, tilt_sd_deg
 from tests.examples import examples
 
 DRAWS = 400

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.c_array import homogeneous
-from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.ring_centres import CENTRES, Ring, centre_of, fit_circle
 from mavcal.calib.mag.ring_solve import by_dominant, columns_of, published
 from mavcal.calib.mag.rings import fit_rings
 from tests.examples import examples
+from tests.fields import field_of
 
 WAYS = np.vstack([np.eye(3), -np.eye(3)])
 STRENGTH, DIP = 49.0, np.radians(66.0)
-FIELD = EarthField.from_elements(STRENGTH, DIP)
+FIELD = field_of(STRENGTH, DIP)
 MATRIX = np.array([[1.08, 0.03, -0.02], [0.12, 0.95, 0.04], [-0.05, 0.04, 1.02]])
 OFFSET = np.array([12.0, -8.5, 21.0])
 TRUTH = np.concatenate([OFFSET, np.linalg.inv(MATRIX).ravel()])

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight.check import CheckId, Report
+from mavcal.calib.preflight.check import CheckId, Report, Shaking
 from mavcal.calib.preflight.installed import WORDS, announced
 from mavcal.calib.preflight.run import preflight
-from mavcal.calib.preflight.snapshot import Shaking
 from mavcal.calib.recording import Sensor
 from tests.unit.preflight.vehicle import BenchVehicle, about, healthy, somewhere
 

@@ -16,8 +16,9 @@ from mavcal.calib.preflight.check import Check, Verdict
 from mavcal.calib.preflight.compass import Upright, compass_direction, compass_field, disturbed
 from mavcal.calib.preflight.rest import Mean
 from tests.examples import examples
+from tests.fields import field_of
 
-FIELD = EarthField.from_elements(48.0, math.radians(64.0), math.radians(5.0), norm_sd=0.2, model="WMM-2025")
+FIELD = field_of(48.0, math.radians(64.0), math.radians(5.0), norm_sd=0.2, model="WMM-2025")
 LEVEL = Rotation.identity()
 ANGLES = st.floats(-180.0, 180.0)
 
@@ -84,7 +85,7 @@ def test_a_compass_that_is_turned_is_off_by_that_angle(yaw: float, pitch: float,
 
 @pytest.mark.parametrize(("tilt", "verdict"), [(5.0, Verdict.PASS), (10.5, Verdict.WARN), (25.0, Verdict.FAIL)])
 def test_a_field_that_dips_otherwise_is_judged_by_how_far(tilt: float, verdict: Verdict) -> None:
-    steeper = EarthField.from_elements(FIELD.norm, FIELD.inclination - math.radians(tilt), FIELD.declination)
+    steeper = field_of(FIELD.norm, FIELD.inclination - math.radians(tilt), FIELD.declination)
     found = compass_direction({0: reading(LEVEL, field=steeper)}, upright(LEVEL), FIELD, None)
     assert found.verdict is verdict
     assert found.value == pytest.approx(tilt, abs=0.1)
@@ -108,7 +109,7 @@ def test_a_nose_that_points_up_has_no_heading() -> None:
 
 
 def test_near_the_pole_a_heading_is_too_uncertain_to_judge() -> None:
-    steep = EarthField.from_elements(58.0, math.radians(88.5))
+    steep = field_of(58.0, math.radians(88.5))
     compasses = {0: reading(LEVEL, field=steep), 1: reading(LEVEL, field=steep, turned=20.0)}
     assert compass_direction(compasses, upright(LEVEL), steep, None).verdict is Verdict.UNKNOWN
 

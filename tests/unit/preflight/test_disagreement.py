@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.earth import EarthField
 from mavcal.calib.preflight.check import Verdict
 from mavcal.calib.preflight.compass import compass_direction, compass_field, set_declination
+from tests.fields import field_of
 
 from .test_compass import FIELD, LEVEL, Upright, down, reading, upright
 
@@ -83,13 +83,13 @@ def test_where_all_compasses_agree_the_vehicles_own_heading_is_off() -> None:
 
 
 def test_a_position_far_off_is_a_suspect_of_its_own() -> None:
-    elsewhere = EarthField.from_elements(30.0, FIELD.inclination, FIELD.declination)
+    elsewhere = field_of(30.0, FIELD.inclination, FIELD.declination)
     found = compass_field({i: reading(LEVEL) for i in range(3)}, (), elsewhere)
     assert (found.verdict, found.suspects[0]) == (Verdict.FAIL, "position")
     assert "position" in found.remedy
     alone = compass_field({0: reading(LEVEL)}, (), elsewhere)
     assert alone.suspects == ("compass 1", "position")
-    steeper = EarthField.from_elements(FIELD.norm, math.radians(20.0), FIELD.declination)
+    steeper = field_of(FIELD.norm, math.radians(20.0), FIELD.declination)
     dip = compass_direction({i: reading(LEVEL) for i in range(3)}, upright(LEVEL), steeper, None)
     assert dip.suspects[0] == "position"
 

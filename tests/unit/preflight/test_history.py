@@ -8,8 +8,7 @@ import pytest
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import history
-from mavcal.calib.preflight.check import Verdict
-from mavcal.calib.preflight.snapshot import Snapshot
+from mavcal.calib.preflight.check import Snapshot, Verdict
 from mavcal.calib.recording import Sensor
 from tests.unit.preflight.vehicle import DAY_S, NOW, healthy
 

@@ -7,9 +7,8 @@ import dataclasses
 import pytest
 
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.preflight.check import Snapshot, Verdict
 from mavcal.calib.preflight.compass import motor_compensation
-from mavcal.calib.preflight.snapshot import Snapshot
 from tests.unit.preflight.vehicle import healthy
 
 ARDUPILOT, PX4 = 2, 3

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mavcal.calib.preflight.check import Snapshot
 from mavcal.calib.preflight.rest import rest_readings
-from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 
 IDS = {"INS_GYR_ID": 2752772, "INS_ACC_ID": 2753028}

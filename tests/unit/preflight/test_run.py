@@ -7,9 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.preflight.check import CheckId, Verdict
+from mavcal.calib.preflight.check import CheckId, OwnView, Verdict
 from mavcal.calib.preflight.run import preflight
-from mavcal.calib.preflight.snapshot import OwnView
 from mavcal.calib.recording import Sensor
 from tests.unit.preflight.faults import FAULTS, Fault, report_of
 from tests.unit.preflight.vehicle import about, healthy

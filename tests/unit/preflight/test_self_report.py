@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mavcal.calib.preflight import self_report
-from mavcal.calib.preflight.check import CheckId, Verdict
-from mavcal.calib.preflight.snapshot import OwnView, Shaking
+from mavcal.calib.preflight.check import CheckId, OwnView, Shaking, Verdict
 
 READY = OwnView(present=True, ready=True, asked=True, calibrating=False)
 

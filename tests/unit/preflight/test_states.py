@@ -6,8 +6,7 @@ import dataclasses
 
 from mavcal.calib.firmware.plan import LeftOut
 from mavcal.calib.fit import FitResult
-from mavcal.calib.preflight.check import Verdict
-from mavcal.calib.preflight.snapshot import Snapshot
+from mavcal.calib.preflight.check import Snapshot, Verdict
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states, summary
 from mavcal.calib.recording import Sensor
 from tests.unit.firmware.conftest import make_fit  # noqa: F401 - a fixture

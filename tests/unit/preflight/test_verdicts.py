@@ -10,8 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcal.calib.preflight import self_report
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Report, Verdict, judged, readiness, unchecked, unknown
-from mavcal.calib.preflight.snapshot import OwnView, Shaking
+from mavcal.calib.preflight.check import (
+    Check,
+    CheckId,
+    Measure,
+    OwnView,
+    Report,
+    Shaking,
+    Verdict,
+    judged,
+    readiness,
+    unchecked,
+    unknown,
+)
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states, summary
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial

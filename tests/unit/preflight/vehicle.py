@@ -23,7 +23,7 @@ from mavcal.calib.firmware.names import (
 )
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.stream.messages import CDEGC, MG, MGAUSS_UT, MRAD_S
-from mavcal.calib.preflight.snapshot import OwnView, Shaking, Snapshot, VerifiedCalibration
+from mavcal.calib.preflight.check import OwnView, Shaking, Snapshot, VerifiedCalibration
 from mavcal.calib.recording import Channel, Identity, Recording, Rounding, Sensor, Stage
 
 Array = NDArray[np.float64]

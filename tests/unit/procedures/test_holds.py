@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitBuilder
+from mavcal.calib.procedures.base import annotated, mean_or_none, refusals, share_of_information
 from mavcal.calib.procedures.holds import LONGEST, SHORTEST, Hold, pose_of_hold
 from mavcal.calib.procedures.level import roll_pitch
 from mavcal.calib.procedures.motion import RESTING, StillWatch
 from mavcal.calib.procedures.poses import DOWN, FACES, down_direction, facing, place
 from mavcal.calib.procedures.protocol import Pose, PromptStep
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.calib.procedures.results import annotated, mean_or_none, refusals, share_of_information
 from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
 from mavcal.calib.procedures.turntable import Stretch

@@ -14,6 +14,7 @@ from mavcal.calib.procedures.protocol import Done, GaveUp, Pose, Prompt
 from mavcal.calib.procedures.registry import create
 from mavcal.calib.procedures.spec import ProcedureContext
 from mavcal.calib.recording import Identity, Sensor
+from tests.fields import field_of
 
 from .conftest import FACES, FIELD, MAG, Bench, Truth, attitude
 
@@ -180,7 +181,7 @@ def test_rings_of_a_compass_that_is_mounted_otherwise_find_its_rotation():
 
 @pytest.mark.parametrize("dip", [60.0, -60.0])
 def test_rings_of_a_mirrored_compass_are_refused_by_name(dip):
-    field = EarthField.from_elements(50.0, np.radians(dip))
+    field = field_of(50.0, np.radians(dip))
     truth = replace(MAG, sensitivity=MAG.sensitivity @ np.diag([1.0, -1.0, 1.0]))
     context = replace(CONTEXT, earth_field=field)
     outcome, _ = run(

@@ -7,9 +7,9 @@ import numpy as np
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Sensor
-from mavcal.calib.thermal.sweeps import judge_drift
 from tests.unit.real import recordings
 from tests.unit.real.finding import Compared, Finding
+from tests.unit.thermal.judged import judge_drift
 
 _CENTRES = {  # published; found by orthogonal distance
     "filtered": ((6195.1, 252.1, 3477.5), (6194.2, 248.6, 3479.8)),

@@ -59,7 +59,7 @@ def test_a_list_that_changes_while_it_comes_begins_anew(other: ParamValue) -> No
 
 
 def test_a_set_of_parameters_is_asked_by_name() -> None:
-    one = Parameter("A", 1.0, ParamType.REAL32, 0, real(1.0), 0.0)
+    one = Parameter("A", 1.0, ParamType.REAL32, 0, real(1.0))
     found = ParameterSet({"A": one}, None)
     assert (len(found), found["A"], "A" in found, "B" in found) == (1, one, True, False)
 

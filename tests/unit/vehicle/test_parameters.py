@@ -69,7 +69,7 @@ async def test_a_write_is_rounded_to_float32_and_confirmed_by_its_echo(ardupilot
     echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.1, ParamType.REAL32))
     assert echo.parameter.bits == struct.pack("<f", 0.1)
     assert echo.parameter.value == struct.unpack("<f", struct.pack("<f", 0.1))[0]
-    assert (echo.sent, echo.confirmed_by) == (1, "echo")
+    assert (echo.sent, ardupilot.link.sent_of("PARAM_REQUEST_READ")) == (1, [])
 
 
 async def test_the_old_value_in_the_echo_of_a_vectors_neighbour_is_not_taken(ardupilot: FakeVehicle) -> None:
@@ -97,7 +97,7 @@ async def test_a_lost_echo_is_made_up_for_by_a_read(ardupilot: FakeVehicle) -> N
     firmware = three(ardupilot)
     firmware.silent_echo = True
     echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, -1.5, ParamType.REAL32))
-    assert (echo.sent, echo.confirmed_by, echo.parameter.value) == (3, "read", -1.5)
+    assert (echo.sent, len(ardupilot.link.sent_of("PARAM_REQUEST_READ")), echo.parameter.value) == (3, 1, -1.5)
 
 
 async def test_a_write_that_the_vehicle_ignores_is_told_with_what_it_holds(ardupilot: FakeVehicle) -> None:

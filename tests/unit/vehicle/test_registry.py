@@ -188,18 +188,6 @@ async def test_an_event_of_a_link_reaches_only_the_vehicles_on_it(registry: Vehi
     assert doubts == {"one": ("our ids", "two systems"), "two": ()}
 
 
-async def test_waiting_for_a_vehicle_ends_when_it_is_identified(registry: VehicleRegistry) -> None:
-    air = attached(registry)
-    waiting = asyncio.ensure_future(registry.wait_for_vehicle(cast(Link, air)))
-    await asyncio.sleep(0)
-    air.say(heartbeat())
-    await asyncio.sleep(0)
-    assert not waiting.done()
-    assert (await registry.wait_for_vehicle(identified=False)).system == 1
-    air.say(version())
-    assert (await waiting).identity.known
-
-
 async def test_a_closed_link_takes_its_vehicles_with_it(registry: VehicleRegistry) -> None:
     air = attached(registry)
     other = attached(registry, "other")

@@ -173,19 +173,6 @@ async def test_a_listener_that_leaves_before_its_turn_is_not_called_and_the_othe
     assert errors == []
 
 
-async def test_who_waited_for_a_vehicle_is_forgotten(registry: VehicleRegistry) -> None:
-    one, other = attached(registry, "one"), attached(registry, "other")
-    waiting = asyncio.ensure_future(registry.wait_for_vehicle(cast(Link, other), identified=False))
-    await turns(1)
-    one.say(heartbeat())
-    await turns(3)
-    assert not waiting.done()  # that one is on another link
-    assert len(registry._changed) == 1
-    other.say(heartbeat(), 2)
-    assert (await waiting).link is cast(Link, other)
-    assert registry._changed == set()
-
-
 async def test_a_detached_link_takes_only_its_own_vehicles(registry: VehicleRegistry) -> None:
     one: Air = attached(registry, "one")
     attached(registry, "other").say(heartbeat())

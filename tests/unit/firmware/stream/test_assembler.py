@@ -39,7 +39,7 @@ def test_a_recording_and_the_live_list_read_the_same_value(bits: bytes, kind: Pa
     frame = param_value(bits, kind)
     vehicle = SimpleNamespace(identity=VehicleIdentity(Autopilot(autopilot), 2))
     live = Parameters(cast("Any", vehicle))
-    live.hear(frame, 0.0)
+    live.hear(frame)
     (value,) = recorded(autopilot, frame)
     assert same(value, live["P"].value)
 

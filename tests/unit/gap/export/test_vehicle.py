@@ -9,7 +9,7 @@ import pytest
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.export import ParameterFormat, read_parameters
+from mavcal.calib.firmware.export import ParameterFormat
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.gap.export import Target, exported
@@ -18,6 +18,7 @@ from mavcal.calib.gap.export.vehicle import _reference, corrected_model, vehicle
 from mavcal.calib.gap.schema import EffectEstimate, Unknown
 from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from tests.parameter_files import read_parameters
 
 from .making import effect, report
 

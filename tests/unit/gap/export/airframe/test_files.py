@@ -11,11 +11,12 @@ import pytest
 
 from mavcal.calib.airframe.answer import AirframePart
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware.export import ParameterFormat, read_parameters
+from mavcal.calib.firmware.export import ParameterFormat
 from mavcal.calib.gap.export import Target, exported, frame_from_text, target_of, with_patches
 from mavcal.calib.gap.export.airframe.belief import belief_changes
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, as_json
 from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording
+from tests.parameter_files import read_parameters
 from tests.unit.gap.export.making import PLUS, airframe, effect, report
 
 EFFECTS = (
