@@ -53,6 +53,7 @@ _ONE_OF_SEVERAL = {
 """First sentence, by domain, where one of several effects explains the difference."""
 _WHICH = "One of several known effects explains it; these recordings do not tell which."
 _DAY_ONLY = "The vehicle and its sensors are as simulated as far as these flights show; only the day differed."
+_AS_SIMULATED = "The vehicle flies as the simulated one, as far as these flights show."
 _UNFINISHED = {
     GapVerdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; there was no time to try them all.",
     GapVerdict.NOT_TESTABLE: "There was no time for an answer.",
@@ -119,17 +120,20 @@ def _verdict(report: GapReport) -> str:
 def _useless(report: GapReport) -> str:
     """States that no sensor was judged by the reference, what would improve it, and what is reported nevertheless."""
     sigma = report.inputs.att_sigma_deg
-    known = f"its attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
-    why = known if math.isfinite(sigma) else "its trajectory contradicts the inertial unit all the time"
+    known = f"attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
+    why = known if math.isfinite(sigma) else "trajectory contradicts the inertial unit all the time"
+    compared = report.airframe is not None and report.airframe.probabilities
+    if compared or _domains(report) - {Domain.SENSOR}:  # the flights, which need no such reference
+        flight = _AS_SIMULATED if report.verdict is GapVerdict.NO_GAP and not report.effects else _verdict(report)
+        return f"{flight} No sensor was compared: the reference's {why}. For the sensors, give {REFERENCE_NEED}."
     said = (
-        f"The reference is of no use: {why}. No sensor was compared with it. To make it better, give {REFERENCE_NEED}."
+        f"The reference is of no use: its {why}. No sensor was compared with it. To make it better, give "
+        f"{REFERENCE_NEED}."
     )
     if not report.tested:
         return said
     if not report.effects and not report.unknown.flag:
         return f"{said} Compared with each other, the units of the vehicle show no difference beyond the noise."
-    if _domains(report) - {Domain.SENSOR}:
-        return f"{said} What follows is what units show against each other, and what the flight shows of the vehicle."
     return f"{said} What follows is only what units of the vehicle show against each other."
 
 

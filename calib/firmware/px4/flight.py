@@ -21,6 +21,7 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.px4.topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from mavcal.calib.airframe.answer import AirframePart, Commands, Domain, Quantity, Rollout, RolloutStep
-from mavcal.calib.gap.schema import GapVerdict, MultipleTesting, NotTestable, Rival
+from mavcal.calib.gap.schema import RE_ESTIMATED, GapVerdict, MultipleTesting, NotTestable, Rival
 from mavcal.calib.gap_report.airframe_effects import claims, known, phrase, plain_name, rival_phrase, wind_from
 from mavcal.calib.gap_report.airframe_words import (
     closed_words,
@@ -305,7 +305,7 @@ def test_beside_a_useless_reference_the_flight_still_speaks():
     said = verdict_sentence(
         replace(weak_motor(), inputs=lost, verdict=GapVerdict.REFERENCE, multiple_testing=MultipleTesting(9, 0.005))
     )
-    assert "what the flight shows of the vehicle" in said
+    assert "No sensor was compared: the reference's attitude is known to 9.0 degrees only" in said
     assert "motor 3 is 7.9 % weak" in said
 
 
@@ -364,3 +364,20 @@ def test_of_the_horizons_one_of_each_kind_is_told():
 def test_reports_of_flights_are_what_they_say():
     assert [e.id for e in drag_flight().effects] == ["rotor_drag", "cg_offset"]
     assert windy_null().verdict is GapVerdict.NO_GAP
+
+
+def test_a_flight_is_told_of_first_where_no_sensor_could_be_compared() -> None:
+    """Nine lines about a reference of no use stood before a motor that was weak for certain."""
+    slow = replace(weak_motor().inputs, att_sigma_deg=7.6, reference_kind=RE_ESTIMATED)
+    part = weak_motor().airframe
+    assert part is not None
+    compared = replace(part, probabilities={"motor_weak": 1.0})
+    weak = replace(weak_motor(), inputs=slow, airframe=compared)
+    assert weak.inputs.useless
+    said = verdict_sentence(weak, listed=False)
+    assert said.startswith("The real vehicle flies differently from the simulated one")
+    assert "No sensor was compared: the reference's attitude is known to 7.6 degrees only, 3 are needed." in said
+    none = replace(weak, effects=(), verdict=GapVerdict.NO_GAP)
+    assert verdict_sentence(none).startswith("The vehicle flies as the simulated one, as far as these flights show.")
+    apart = replace(none, airframe=None)
+    assert verdict_sentence(apart).startswith("The reference is of no use: its attitude is known to 7.6 degrees")
