@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
 ATTITUDE, VELOCITY, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Where they are in the state of a node."""
+"""Where they are in the state of a node. Source: the order of :data:`NODE`."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
