@@ -17,7 +17,7 @@ LAYOUT = {
     "reference/align.py": {"_IDENTITY"},
     "reference/posed.py": {"_CONVENTIONS"},
     "reference/trajectory.py": {
-        *("NODE", "GYRO_BIAS", "OFFSET", "PER_AMPERE", "EARTH", "LATE_GPS", "LATE_MAG", "SOFT_IRON", "GYRO", "ACCEL"),
+        *("NODE", "OFFSET", "PER_AMPERE", "EARTH", "LATE_GPS", "LATE_MAG", "SOFT_IRON", "GYRO", "ACCEL"),
         *("ACCEL_SCALE", "GYRO_DRIFT", "ACCEL_DRIFT", "CONSTANTS"),
     },
     "unknown/discrepancy.py": {"_AXES"},
