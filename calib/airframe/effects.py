@@ -91,7 +91,9 @@ IDS: Final = frozenset(
 """Every name that the catalogue can give."""
 
 
-def catalogue(layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float]) -> tuple[AirframeEffect, ...]:
+def catalogue(
+    layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float], lift_alone: bool = False
+) -> tuple[AirframeEffect, ...]:
     """Every effect for a vehicle of that many motors.
 
     Parameters
@@ -103,22 +105,24 @@ def catalogue(layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float])
         and in the air; PX4's SIH has a constant of its own.
     hover_gain
         Angular acceleration at a full differential command (3,), rad/s2: the scale of trims.
+    lift_alone
+        Whether the simulator's lift may differ without its yaw torque, as in PX4's SIH; a propeller's go together.
     """
-    return tuple(_made(layout, rotors_damp, hover_gain))
+    return tuple(_made(layout, rotors_damp, hover_gain, lift_alone))
 
 
-def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float]) -> Iterator[AirframeEffect]:
+def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float], lift_alone: bool) -> Iterator[AirframeEffect]:
     relative, plus = Act.TIMES, Act.PLUS
     # what the rotors' own inertia does stays when their thrust or their torque changes
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
-    # SIH_T_MAX and a worn propeller: another lift, and the rotors turn the vehicle about z as before
-    lift = tuple(Change(0, n, relative) for n in ("k", "gain_x", "gain_y"))
-    yield AirframeEffect(
-        "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
-        torque=True,
-    )  # fmt: skip
+    if lift_alone:  # SIH_T_MAX
+        lift = tuple(Change(0, n, relative) for n in ("k", "gain_x", "gain_y"))
+        yield AirframeEffect(
+            "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
+            torque=True,
+        )  # fmt: skip
     # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
     shares = (("c1", 0.5), ("cz", 0.5), *((n, 1.0) for n in BODY_DRAG), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
     forces = (Change(0, n, relative, share) for n, share in shares)

@@ -55,16 +55,14 @@ _CONVERGED: Final = 0.02
 _WINDOW: Final = 0.15
 """Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
 _LEAST_BINS: Final = 8
-_NOISE_BANDS: Final = 4
-_NOISE_HZ: Final = 30.0
+_NOISE_BANDS, _NOISE_HZ = 4, 30.0
 """The quietest of these bands, from `TORQUE_BAND_HZ` to `_NOISE_HZ`, is taken for the gyroscope's noise. Chosen, not
 measured: vibration of the rotors fills some bands, and the grid's own filter removes what lies above."""
 _QUIETEST: Final = 1.03
 """Standard deviations by which the least of four equal bands lies below their mean. Source: normal order statistics."""
 _HEARD, _HEARD_HZ = 2.0, 2.0
-"""Times the gyroscope's noise up to which turns are judged, and Hz up to which they always are. A controller answers
-that noise with commands, and where nothing else is heard they look like a reaction of the rotors. Measured: with all
-frequencies, PX4's SIH had a yaw gain 30 % high and a yaw damping below zero. Chosen, not measured: both numbers."""
+"""Times the gyroscope's noise up to which turns are judged, and Hz up to which they always are. Chosen, not measured.
+Where nothing but noise is heard, the commands that answer it look like a reaction of the rotors."""
 _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}
@@ -310,8 +308,8 @@ class FlightLikelihood:
         edges = np.searchsorted(self._hz, np.linspace(TORQUE_BAND_HZ, highest, _NOISE_BANDS + 1))
         if highest < 1.5 * TORQUE_BAND_HZ or (np.diff(edges) < _LEAST_BINS).any():
             return np.zeros(3)
-        usable = self.airframe.flight.usable
-        power = dct(np.where(usable[:, None], self._measured[:, 3:], 0.0), axis=0, norm="ortho") ** 2
+        usable = self.airframe.flight.usable[:, None]
+        power = dct(np.where(usable, self._measured[:, 3:], 0.0), axis=0, norm="ortho") ** 2
         white = power / np.maximum(self._of_white, 1e-12)[:, None]
         bands = [white[low:high].mean(axis=0) for low, high in itertools.pairwise(edges)]
         by_chance = 1.0 - _QUIETEST * math.sqrt(2.0 / float(np.diff(edges).mean()))

@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 STEP_S = 0.1
 """From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S. Chosen, not measured: vehicles are
 steered up to 5 Hz, and nodes cost time."""
-_STRAIN = 8.0
+_STRAIN = 6.0
 """Standard deviations above which an interval is not believed. Chosen, not measured: far beyond what normal errors of
 any length of flight reach."""
 _LOUD, _WORST = 0.3, 0.1

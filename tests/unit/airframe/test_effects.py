@@ -27,7 +27,9 @@ def model() -> Airframe:
 
 def every(layout: Layout, *, rotors_damp: bool = True) -> tuple[AirframeEffect, ...]:
     air = of_density(Densities(Density(1.0, 0.01), Density(1.2, 0.01)), rotors_damp=rotors_damp)
-    return (*catalogue(layout, rotors_damp=rotors_damp, hover_gain=(280.0, 280.0, 7.0)), air, *nameless(layout))
+    gain = (280.0, 280.0, 7.0)
+    named = catalogue(layout, rotors_damp=rotors_damp, hover_gain=gain, lift_alone=True)
+    return (*named, air, *nameless(layout))
 
 
 def flying(model: Airframe) -> np.ndarray:
