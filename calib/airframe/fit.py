@@ -40,9 +40,8 @@ _EXCITED: Final = 8.0
 beyond what gusts make the controller do."""
 _TURN_S: Final = 0.4
 """Widening of a commanded turn on either side: what the vehicle does after it. Chosen, not measured."""
-_ROUNDS: Final = 8
-_WHITE_ROUNDS: Final = 4
-"""Rounds with one variance a channel, before its spectrum is learned."""
+_ROUNDS, _WHITE_ROUNDS = 8, 4
+"""Rounds at most, and those with one variance a channel, before its spectrum is learned."""
 _SHORTEST: Final = 0.01
 """Part of a step below which the point stands."""
 _ENDS: Final = {"tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
@@ -61,8 +60,8 @@ measured: vibration of the rotors fills some bands, and the grid's own filter re
 _QUIETEST: Final = 1.03
 """Standard deviations by which the least of four equal bands lies below their mean. Source: normal order statistics."""
 _HEARD, _HEARD_HZ = 2.0, 2.0
-"""Times the gyroscope's noise up to which turns are judged, and Hz up to which they always are. Chosen, not measured.
-Where nothing but noise is heard, the commands that answer it look like a reaction of the rotors."""
+"""Times the gyroscope's noise up to which turns are judged (commands that answer noise look like a reaction of the
+rotors), and Hz up to which they always are. Chosen, not measured."""
 _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}

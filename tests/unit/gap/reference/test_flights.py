@@ -25,7 +25,7 @@ def test_biases_read_as_injected_against_the_other_instance_and_along_the_trajec
     problem = build(flights("bias"), flights("null"))
     assert problem.reference.kind == ReferenceKind.ESTIMATOR
     injected = {Sensor.ACCEL: [0.3, -0.2, 0.15], Sensor.GYRO: [0.01, -0.015, 0.008], Sensor.MAG: [-6.0, 4.0, -3.0]}
-    within = {Sensor.ACCEL: 0.01, Sensor.GYRO: 2e-4, Sensor.MAG: 0.2}
+    within = {Sensor.ACCEL: 0.015, Sensor.GYRO: 2e-4, Sensor.MAG: 0.2}  # a tilt of 0.09 degrees, an eighth of its error
     for trace in problem.traces:
         mean = trace.residual[trace.observed].mean(axis=0)
         expected = np.array(injected[trace.sensor]) if trace.instances == (0,) else np.zeros(3)
