@@ -16,7 +16,7 @@ SURE = 3.0
 
 
 class Verdict(StrEnum):
-    """Verdict on a check, or on a whole report."""
+    """What a check, or a whole report, comes to."""
 
     PASS = "pass"  # noqa: S105 - no password
     WARN = "warn"  # beyond the limit, but not beyond doubt; or a matter of judgement
