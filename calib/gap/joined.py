@@ -44,7 +44,7 @@ _INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
 _BY_ITSELF: Final = frozenset({Trait.THERMAL, Trait.WANDERING})
 _SPOKEN_OF: Final = 0.05
 """Probability from which an effect that is not named is a warning. Source: the odds of any effect before a flight."""
-_FIVE: Final = 5.0
+_BEYOND_CHANCE: Final = 5.0
 """Standard errors beyond which a size is no chance and no error of the reference. Source: a custom of physics, one in
 three million."""
 _LEAST_P: Final = 1e-300
@@ -258,14 +258,14 @@ def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
 
     Noise adds nothing to the model of a series: it is larger if it gains more than two nats a number. Drift noise is
-    never. What is within five standard errors, which have the reference's, may be the reference's own.
+    never. A size within five standard errors may be an error of the reference, which they include.
     """
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)
     if isinstance(known, NoiseEffect):
         numbers = sum(s.residual.size for s in own)
         return not known.drifts and 0 < 4 * numbers < effect.evidence.two_delta_loglik
-    if not any(abs(p.value) > _FIVE * p.se for p in effect.params):
+    if not any(abs(p.value) > _BEYOND_CHANCE * p.se for p in effect.params):
         return False
     for one in own:
         left = np.nanmean((one.residual - one.modelled) ** 2)

@@ -60,7 +60,7 @@ class Fault:
 
 
 class Site(Protocol):
-    """What faults act on: a vehicle, its links and its twins."""
+    """Target of the faults: a vehicle, its links and its twins."""
 
     vehicle: FlightController
     """The vehicle."""

@@ -231,7 +231,7 @@ class Store(SqlItems, FleetTables):
             db.execute("DELETE FROM jobs WHERE id = ?", (job_id,))
 
     def _insert_event(self, db: Session, job_id: str, at: float, kind: str, data: Json) -> EventRow:
-        self._database.in_order()  # who reads on after an id must miss none
+        self._database.in_order()  # a reader that continues after an id must miss no event
         row = db.execute(
             "INSERT INTO job_events (job_id, sequence, at, kind, data) VALUES (?, "
             "(SELECT coalesce(max(sequence), 0) + 1 FROM job_events WHERE job_id = ?), ?, ?, ?) RETURNING id, sequence",

@@ -211,8 +211,8 @@ def _estimated_bias(topics: Topics, of: str, stamps: NDArray[Any]) -> Array:
     logged = dict(instances_of(topics, "estimator_sensor_bias"))
     selection, device = topics.get(("sensor_selection", 0)), f"{of}_device_id"
     if selection is not None and device in selection and len(selection[device]):
-        chosen = selection[device][-1]
-        logged = {k: t for k, t in logged.items() if device in t and (t[device] == chosen).any()} or logged
+        chosen = selection[device][-1]  # the firmware subtracts nothing that was estimated for another sensor
+        logged = {k: t for k, t in logged.items() if device not in t or (t[device] == chosen).any()}
     topic = next(iter(logged.values()), None)
     if topic is None or not has(topic, *(f"{of}_bias[{k}]" for k in range(3))):
         return np.zeros((len(stamps), 3))

@@ -22,10 +22,10 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 Array = NDArray[np.float64]
 
 _OFF: Final = 0.1
-"""m/s by which the velocity of an estimator differs from the GPS's for seconds, from which on it is looked at. Source:
+"""Slow difference between the velocities of estimator and GPS, m/s, above which the estimator is checked. Source:
 measured; 0.02 to 0.04 with ArduPilot's simulator, 0.05 in slow and 0.16 to 0.3 in lively flights of PX4's SIH."""
 _CLOSER: Final = 0.5
-"""Part of that difference at most that a better velocity has. Chosen, not measured: both follow the same GPS."""
+"""Largest part of that difference that a better velocity may leave. Chosen, not measured: both follow the same GPS."""
 _SLOW_S: Final = 1.0
 """Seconds over which a difference is averaged, so that the GPS's noise averages out. Source: its noise of SIH is 0.16
 m/s along the vertical, at 8 Hz."""

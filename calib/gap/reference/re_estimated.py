@@ -50,9 +50,9 @@ _STRAIN = 6.0
 """Standard deviations above which an interval is not believed. Chosen, not measured: far beyond what normal errors of
 any length of flight reach."""
 _LOUD, _WORST = 0.3, 0.1
-"""Standard deviations by which a unit and the trajectory differ as a median, from which on the unit may be louder than
-assumed, and the part of its flight that is then left out where noise is to be told from a crash. Source: measured for
-the first; 0.01 to 0.03 with ArduPilot's simulator, 0.8 with PX4's SIH. The other is chosen: crashes are shorter."""
+"""Median difference between unit and trajectory, in standard deviations, above which the unit may be louder than
+assumed; and the part of such a flight that is left out, so that a crash is no noise. Source: measured for the first;
+0.01 to 0.03 with ArduPilot's simulator, 0.8 with PX4's SIH. The other is chosen: crashes are shorter."""
 _AROUND = 10
 """Intervals on either side that are not believed either. Chosen, not measured: a second at `STEP_S`."""
 _FOLLOWED_HZ = 0.2 / STEP_S
@@ -126,7 +126,7 @@ def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | N
 
 @dataclass(frozen=True, eq=False)
 class _Given:
-    """What a trajectory is made of: nodes, aiding, compass, and accelerometer and gyroscope by unit."""
+    """Input of the smoother: nodes, aiding, compass, and the accelerometer and gyroscope of each unit."""
 
     t: Array
     aiding: Aiding
@@ -181,10 +181,10 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
         aiding = dataclasses.replace(aiding, truth_t=truth.t[seen], truth=rotation(truth.values[seen]))
     guess = given.guess(recording)
     made = []
-    for unit, (accels, gyros) in units.items():
-        gyro, accel = Signal.of(gyros), Signal.of(accels)
+    for unit, (accel_channel, gyro_channel) in units.items():
+        gyro, accel = Signal.of(gyro_channel), Signal.of(accel_channel)
         if gyro is not None and accel is not None:
-            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros, accels))
+            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyro_channel, accel_channel))
             warmth = slow_values(recording.find(Sensor.TEMPERATURE, unit), t)
             temperature = None if warmth is None else warmth[:, 0]
             imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)

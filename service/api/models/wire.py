@@ -1,4 +1,4 @@
-"""What the models share, and dataclasses of the domain that go over HTTP as they are, docstrings included."""
+"""Types shared by the API models; dataclasses of the domain that go over HTTP unchanged, with their docstrings."""
 
 from __future__ import annotations
 

@@ -60,6 +60,7 @@ def test_the_estimators_bias_is_put_back() -> None:
     other = {**streams, ("estimator_sensor_bias", 1): bias(9, 2.0)}
     chosen = topic(accel_device_id=9.0, gyro_device_id=9.0)
     assert read({**other, ("sensor_selection", 0): chosen})[Sensor.ACCEL].values[-1, 0] == pytest.approx(3.0)
+    assert read({**streams, ("sensor_selection", 0): chosen})[Sensor.ACCEL].values[-1, 0] == pytest.approx(1.0)
 
 
 def test_the_mixers_inputs_are_the_torque_and_the_lift() -> None:
