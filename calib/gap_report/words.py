@@ -80,7 +80,7 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
         said += f" Likely, or else one of the rivals below: {'; '.join(unsettled)}." if unsettled else ""
         said += f" Of the day, and not exported: {'; '.join(of_day)}." if of_day else ""
         said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
-    return f"{said}{_airframe_untested(report)}"
+    return f"{said}{_sensors_untested(report)}{_airframe_untested(report)}"
 
 
 def _airframe_untested(report: GapReport) -> str:
@@ -117,18 +117,34 @@ def _verdict(report: GapReport) -> str:
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 
 
+def _only_flight(report: GapReport) -> bool:
+    """Whether the flights were compared, which need no attitude from the reference, and no sensor was."""
+    flown = report.airframe is not None and bool(report.airframe.probabilities)
+    return report.inputs.useless and (flown or bool(_domains(report) - {Domain.SENSOR}))
+
+
+def _sensors_untested(report: GapReport) -> str:
+    """Why the answer is about the flight alone; empty otherwise."""
+    if not _only_flight(report):
+        return ""
+    return f" No sensor was compared: the reference's {_why_useless(report)}. For the sensors, give {REFERENCE_NEED}."
+
+
+def _why_useless(report: GapReport) -> str:
+    sigma = report.inputs.att_sigma_deg
+    if not math.isfinite(sigma):
+        return "trajectory contradicts the inertial unit all the time"
+    return f"attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
+
+
 def _useless(report: GapReport) -> str:
     """States that no sensor was judged by the reference, what would improve it, and what is reported nevertheless."""
-    sigma = report.inputs.att_sigma_deg
-    known = f"attitude is known to {sigma:.1f} degrees only, {USELESS_DEG:g} are needed"
-    why = known if math.isfinite(sigma) else "trajectory contradicts the inertial unit all the time"
-    compared = report.airframe is not None and report.airframe.probabilities
-    if compared or _domains(report) - {Domain.SENSOR}:  # the flights, which need no such reference
-        flight = _AS_SIMULATED if report.verdict is GapVerdict.NO_GAP and not report.effects else _verdict(report)
-        return f"{flight} No sensor was compared: the reference's {why}. For the sensors, give {REFERENCE_NEED}."
+    if _only_flight(report):
+        as_simulated = report.verdict is GapVerdict.NO_GAP and not report.effects
+        return _AS_SIMULATED if as_simulated else _verdict(report)
     said = (
-        f"The reference is of no use: its {why}. No sensor was compared with it. To make it better, give "
-        f"{REFERENCE_NEED}."
+        f"The reference is of no use: its {_why_useless(report)}. No sensor was compared with it. "
+        f"To make it better, give {REFERENCE_NEED}."
     )
     if not report.tested:
         return said

@@ -377,6 +377,8 @@ def test_a_flight_is_told_of_first_where_no_sensor_could_be_compared() -> None:
     said = verdict_sentence(weak, listed=False)
     assert said.startswith("The real vehicle flies differently from the simulated one")
     assert "No sensor was compared: the reference's attitude is known to 7.6 degrees only, 3 are needed." in said
+    listed = verdict_sentence(weak)
+    assert listed.index("motor 3 is 7.9 % weak") < listed.index("No sensor was compared")  # what was found comes first
     none = replace(weak, effects=(), verdict=GapVerdict.NO_GAP)
     assert verdict_sentence(none).startswith("The vehicle flies as the simulated one, as far as these flights show.")
     apart = replace(none, airframe=None)
