@@ -107,13 +107,13 @@ def airframe_row(id_: str, forms: Sequence[AirframeEffect]) -> str:
     """The line of one effect with all its forms."""
     told = {name: labels(id_)[name] for form in forms for name in _reported(form)}
     changes = [change for form in forms for change in form.changes]
-    relative = any(change.act is not Act.PLUS for change in changes)
+    ratios = {n for form in forms if any(c.act is not Act.PLUS for c in form.changes) for n in _reported(form)}
     does = [f"{_names(c.parameter for c in changes if c.act is act)} {sign}" for act, sign in _ACTS.items()
             if any(c.act is act for c in changes)]  # fmt: skip
     does += ["or a limit: abs(dc/dt) ≤ `slew`" for form in forms if form.slew]
     cells = []
     for name, (label, unit) in told.items():
-        kinds = [*(["ratio"] if relative or not unit else []), *([unit] if unit else [])]
+        kinds = [*(["ratio"] if name in ratios or not unit else []), *([unit] if unit else [])]
         cells.append(f"`{name}` {label} ({'; '.join(kinds)})")
     return f"| `{id_}` {plain_name(id_)} | {', '.join(does)} | {', '.join(cells)} | {_seen(forms)} | {FIXES[id_]} |"
 

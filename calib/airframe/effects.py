@@ -18,7 +18,7 @@ from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import Densities
 from mavcal.calib.airframe.nameless import GROUPS, PREFIX, SIZES
-from mavcal.calib.airframe.physics import AXES, Layout
+from mavcal.calib.airframe.physics import AXES, PRODUCTS, Layout
 
 Array = NDArray[np.float64]
 
@@ -154,6 +154,11 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float], lift_alone: 
     yield _one("translational_lift", "ch", 0.01, (Change(0, "ch", plus),), "ch")
     for axes in ("xy", "x", "y", "z"):
         yield _inertia(axes)
+    for pair in PRODUCTS:
+        product, block = (Change(0, f"product_{pair}", plus),), f"product_{pair}"
+        yield AirframeEffect(
+            "inertia", block, (pair,), (0.1,), product, (block,), odds=ODDS / 6.0, torque=True,
+        )  # fmt: skip
     cg = (Change(0, "cg_x", plus), Change(1, "cg_y", plus))
     yield AirframeEffect("cg_offset", "cg_offset", ("x", "y"), (0.05, 0.05), cg, ("cg_x", "cg_y"), torque=True)
     for i in range(1, layout.motors + 1):

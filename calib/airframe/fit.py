@@ -20,8 +20,8 @@ from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from mavcal.calib.airframe.flown import REST_AGREES, FlownFlight
 from mavcal.calib.airframe.geometry import arms
-from mavcal.calib.airframe.nameless import PREFIX, SIZES
 from mavcal.calib.airframe.physics import TORQUE_ONLY, Airframe, Layout
+from mavcal.calib.airframe.priors import ENDS, prior_of, step_of
 from mavcal.calib.airframe.signals import kept_power
 from mavcal.calib.recording import Sensor
 
@@ -44,9 +44,6 @@ _ROUNDS, _WHITE_ROUNDS = 8, 4
 """Rounds at most, and those with one variance a channel, before its spectrum is learned."""
 _SHORTEST: Final = 0.01
 """Part of a step below which the point stands."""
-_ENDS: Final = {"tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
-                "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 1.0)}  # fmt: skip
-"""Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
 _NEAR: Final = 2.0
 """Standard errors from the best point from which on the spectrum can be learned. Chosen, not measured."""
 _CONVERGED: Final = 0.02
@@ -64,20 +61,6 @@ _HEARD, _HEARD_HZ = 2.0, 2.0
 rotors), and Hz up to which they always are. Chosen, not measured."""
 _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
-_STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}
-PRIORS: Final[Mapping[str, tuple[float, float]]] = {
-    "k": (25.0, 20.0), "expo": (0.5, 0.4), "sag": (0.0, 1.5), "c1": (0.3, 0.5), "cz": (0.3, 0.7), "c2": (0.02, 0.05),
-    "ch": (0.0, 0.03), "climb": (0.0, 0.1), "wind_north": (0.0, 8.0), "wind_east": (0.0, 8.0), "bias": (0.0, 0.5),
-    "lever": (0.0, 0.1), "gain_x": (200.0, 400.0), "gain_y": (200.0, 400.0), "gain_z": (8.0, 40.0),
-    "damping": (1.0, 5.0), "torque": (0.0, 20.0), "cg": (0.0, 0.3), "spin_up": (0.0, 0.3), "flap": (0.0, 2.0),
-    "cross": (0.0, 1.0), "tau": (0.02, 0.05), "fall": (0.0, 0.03), "delay": (0.005, 0.02), "weak": (0.0, 0.15),
-    "pulse": (0.0, 0.15), "scale": (0.0, 0.003), "load": (0.0, 0.3), "bias_z": (0.0, 0.03),
-    "rise": (0.0, 5e-4),
-}  # fmt: skip
-"""Mean and standard deviation of each parameter, or of its family, before a flight is seen. Source: the sizes on real
-small drones in AIRFRAME 2 and 2.1, doubled. `flap` is mostly the rotors' drag, which acts above the centre of mass: 0.5
-1/s at 3 cm, with mass over inertia of 100 to 400 1/m2. A flap of 2.3 with a prior of 0.3 made an inertia of -34 %.
-`rise` is 3e-4 for ArduPilot's simulated quad; without it, 7 m/s of wind damped turns by a quarter more."""
 
 
 @dataclass(frozen=True)
@@ -115,17 +98,6 @@ SAG_SPAN: Final = 0.03
 for (AIRFRAME 5.8)."""
 UNSEEN_BIAS: Final = 0.1
 """Offset of an accelerometer, m/s2, that nobody saw at rest. Source: what a six-face calibration leaves (PEERS)."""
-
-
-def _step(name: str) -> float:
-    return _STEPS.get(name, 1e-3 * max(prior_of(name)[1], 1e-3))
-
-
-def prior_of(name: str) -> tuple[float, float]:
-    """Mean and standard deviation of one parameter."""
-    if name.startswith(PREFIX):
-        return 0.0, SIZES["torque" if "torque" in name else "force"]
-    return PRIORS[name] if name in PRIORS else PRIORS[name.rsplit("_", 1)[0]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +225,7 @@ class FlightLikelihood:
     @cached_property
     def ends(self) -> Array:
         """Least and greatest value of every parameter (2, P)."""
-        return np.array([_ENDS.get(n, (-np.inf, np.inf)) for n in self.airframe.layout.names]).T
+        return np.array([ENDS.get(n, (-np.inf, np.inf)) for n in self.airframe.layout.names]).T
 
     @cached_property
     def _at_rest(self) -> Mapping[str, tuple[float, float]]:
@@ -352,7 +324,7 @@ class FlightLikelihood:
                 for out, found in zip(columns, self._free_bins[k - first], strict=True):
                     out.append(found)
                 continue
-            step = _step(self.airframe.layout.names[k])
+            step = step_of(self.airframe.layout.names[k])
             moved = theta.copy()
             moved[k] += step
             change = (np.hstack(self.airframe.predicted(moved)) - base) / step

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.airframe.effects import AirframeEffect, applied
-from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted, prior_of
+from mavcal.calib.airframe.fit import SAG_SPAN, FlightFit, FlightLikelihood, expanded, fitted
 from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.airframe.physics import AXES
+from mavcal.calib.airframe.priors import prior_of
 from mavcal.calib.inference.model import Block, Model, Posterior, Term, laplace
 from mavcal.calib.inference.quadratic import Quadratic
 

@@ -23,13 +23,14 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 AXES: Final = ("x", "y", "z")
+PRODUCTS: Final[tuple[str, ...]] = ("xy", "xz", "yz")
 _FALLING_ROUNDS: Final = 2
 """Rounds after which a lag that differs for falling commands is known to a hundredth of a doublet. Measured."""
 _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2_x", "c2_y", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y",
     "bias_z", "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z",
     "torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "cross_x", "cross_y", "cross_z",
-    "tau", "fall", "delay", "scale", "load", "rise",
+    "tau", "fall", "delay", "scale", "load", "rise", "product_xy", "product_xz", "product_yz",
 )  # fmt: skip
 _OF_THRUST: Final = ("delay", "tau", "fall", "expo", "sag")
 _OF_ROTORS: Final = ("k", "c1", "cz", "climb", "wind_north", "wind_east")
@@ -38,6 +39,8 @@ _OF_TORQUE: Final = ("torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_u
                      "gain_y", "gain_z")  # fmt: skip
 """Parameters that change each step of a prediction, beside those of the step before it. Thrust also depends on the
 parameters of each motor. A step is computed again only if one of its parameters changes."""
+_LEAST_TURNED: Final = 1e-3
+"""Mass by inertia of an axis, 1/m2, in place of a gain that is not positive. Chosen, not measured: small beside 100."""
 _REMEMBERED: Final = 2
 """Results of a step that are kept: at the point of a derivative, and at the last point beside it."""
 FORCE_ONLY: Final = frozenset(
@@ -57,7 +60,7 @@ FORCE_ONLY: Final = frozenset(
 )
 TORQUE_ONLY: Final = frozenset(
     {*(f"{n}_{a}" for n in ("gain", "damping", "torque", "cross") for a in AXES), "cg_x", "cg_y", "spin_up", "flap_x",
-     "flap_y", "rise"}
+     "flap_y", "rise", "product_xy", "product_xz", "product_yz"}
 )  # fmt: skip
 
 
@@ -84,6 +87,7 @@ class Layout:
     scale                 of the accelerometer, relative, about what it reads at rest: there, bias_z is the whole error
     load                  mass that is gained at one moment, relative
     rise                  damping by the inflow that a climb or a tilt in wind adds, over the gain of the axis, s2/m
+    product_xy xz yz      product of inertia over the root of both moments
     weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
     ====================  ==============================================================================================
     """
@@ -261,7 +265,7 @@ class Airframe:
         """Force and torque (N, 3) as the filtered sensors would show them."""
         force = self._force(theta) + self._at_unit(theta)
         force = force + theta[self.layout.place["scale"]] * (force + np.array([0.0, 0.0, self.flight.gravity]))
-        torque = self._torque(theta) + self._by_rates(theta)
+        torque = self._coupled(theta, self._torque(theta) + self._by_rates(theta))
         nameless = theta[len(theta) - len(self.free) :]
         if nameless.any():
             beyond = np.tensordot(nameless, self.free_signals, axes=1)
@@ -353,20 +357,44 @@ class Airframe:
         """Torque of the rotors (N, 3), filtered as the gyroscope is."""
         of, v, rotors = self._of(theta), self.air_velocity(theta), self._rotors(theta)
         thrust, turning, spinning = self.thrusts(theta)
-        n, k, lever = self.layout.motors, of("k"), self._lever
+        n, k = self.layout.motors, of("k")
         x, y = self._x - of("cg_x"), self._y - of("cg_y")
-        # mass by inertia of an axis is its gain by k; a flat body has I_z = I_x + I_y
-        by_x, by_y = of("gain_x") / (k * lever), of("gain_y") / (k * lever)
-        by_z = 1.0 / (1.0 / max(by_x, 1e-3) + 1.0 / max(by_y, 1e-3)) if self.kind.drag_by_rotor else 0.0
+        by_x, by_y, by_z = self._turned_by(theta)
         flapping = v * self._drive(thrust, k).mean(axis=1)[:, None]
         along = rotors[2] if self.kind.drag_turns else (-k / n) * thrust
         roll = by_x * (along @ y) + of("torque_x") - of("flap_x") * flapping[:, 1]
         pitch = -by_y * (along @ x) + of("torque_y") + of("flap_y") * flapping[:, 0]
         yaw = of("gain_z") * (turning @ self._spin) / n + of("torque_z")
         yaw += of("gain_z") * of("spin_up") * np.gradient(spinning @ self._spin, self._dt) / n
-        if self.kind.drag_turns:
+        if self.kind.rotors_damp:
             yaw += by_z * (rotors[1] @ x - rotors[0] @ y)
         return self._grid.through(np.column_stack([roll, pitch, yaw]), self._filters[Sensor.GYRO])
+
+    def _coupled(self, theta: Array, torque: Array) -> Array:
+        """The angular acceleration (N, 3) with products of inertia, from that without them."""
+        products = theta[[self.layout.place[f"product_{pair}"] for pair in PRODUCTS]]
+        if not products.any():
+            return torque
+        x, y, z = root = 1.0 / np.sqrt(self._turned_by(theta))  # of the moments of inertia, in one unit for all axes
+        xy, xz, yz = products
+        gyroscopic = np.tensordot(products * (x * y, x * z, y * z), self._twists, axes=1) / root**2
+        whole = np.array([[1.0, xy, xz], [xy, 1.0, yz], [xz, yz, 1.0]])
+        return np.asarray((torque - gyroscopic) @ (np.linalg.inv(whole) * root / root[:, None]).T)
+
+    @cached_property
+    def _twists(self) -> Array:
+        """The rate's cross product with the angular momentum of each product of inertia of 1 (3, N, 3)."""
+        p, q, r = self.flight.rate.T
+        xy = np.column_stack([-r * p, q * r, p * p - q * q])
+        xz = np.column_stack([p * q, r * r - p * p, -q * r])
+        yz = np.column_stack([q * q - r * r, -p * q, r * p])
+        return np.array([xy, xz, yz])
+
+    def _turned_by(self, theta: Array) -> Array:
+        """Mass by inertia of each axis (3,), 1/m2: its gain by the thrust at its arm; flat, I_z = I_x + I_y."""
+        of = self._of(theta)
+        x, y = (max(of(f"gain_{a}") / (of("k") * self._lever), _LEAST_TURNED) for a in "xy")
+        return np.array([x, y, 1.0 / (1.0 / x + 1.0 / y)])
 
     def _by_rates(self, theta: Array) -> Array:
         """A rotor's thrust falls with the square of its inflow: the faster it is, the more a turn takes off it."""

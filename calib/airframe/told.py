@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import altitude_of
-from mavcal.calib.airframe.effects import FORMS, AirframeEffect
+from mavcal.calib.airframe.effects import FORMS, Act, AirframeEffect
 from mavcal.calib.airframe.found import FoundEffect, FoundRival, FoundValue
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence
+from mavcal.calib.airframe.physics import PRODUCTS
 from mavcal.calib.airframe.testable import Missing
 from mavcal.calib.airframe.words import BESIDE_STANDARD, FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.search import Answer
@@ -37,7 +38,7 @@ _UNITS: Final = {
     "expo": "1", "sag": "1", "cg_x": "arms", "cg_y": "arms", "wind_north": "m/s", "wind_east": "m/s",
     "gain_x": "rad/s2", "gain_y": "rad/s2", "gain_z": "rad/s2", "damping_x": "1/s", "damping_y": "1/s",
     "damping_z": "1/s",
-    "torque_x": "rad/s2", "torque_y": "rad/s2", "torque_z": "rad/s2",
+    "torque_x": "rad/s2", "torque_y": "rad/s2", "torque_z": "rad/s2", **{f"product_{pair}": "1" for pair in PRODUCTS},
 }  # fmt: skip
 _RELATIVE: Final = frozenset(
     {
@@ -225,10 +226,10 @@ def _values(
         return FoundValue("s", float(mean[0]), float(sd[0]), "1", relative=True), FoundValue("t", at, 0.5, "s")
     if effect.id == DENSITY and effect.sides is not None:
         return _density(effect.sides, float(mean[0]), float(sd[0]))
-    if effect.id == "inertia":
+    if effect.block.startswith("inertia_"):
         axes = effect.block.removeprefix("inertia_")
         return tuple(FoundValue(a, float(mean[0]), float(sd[0]), "1", relative=True) for a in axes)
-    relative = effect.id in _RELATIVE
+    relative = effect.id in _RELATIVE and effect.changes[0].act is not Act.PLUS
     made = []
     for k, (name, base) in enumerate(zip(effect.names, effect.base, strict=True)):
         unit = "1" if relative else _UNITS[base]

@@ -11,6 +11,7 @@ from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 from mavcal.calib.gap_report.intervals import after_number, bracketed, more_or_less, range_of, ratio_of, rounded, times
 
 _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
+_PAIRS = ("xy", "xz", "yz")
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
 """m/s at which the lift of forward flight is stated. Chosen, not measured: a brisk flight of a small multicopter."""
@@ -119,6 +120,16 @@ def _has_by_axis(what: str) -> Callable[[_Params, EffectEstimate], str]:
         return f"the real vehicle has {_joined(first + [times(p[a], f'that in {_AXES[a]}') for a in shown[1:]])}"
 
     return finding
+
+
+def _inertia(p: _Params, effect: EffectEstimate) -> str:
+    """Moments as ratios, products of inertia as differences."""
+    found = [] if not any(a in p for a in _AXES) else [_has_by_axis("inertia")(p, effect)]
+    for pair in (pair for pair in _PAIRS if pair in p):
+        one, other = (_AXES[axis] for axis in pair)
+        amount = more_or_less(p[pair], 1.0, "", "larger", "smaller")
+        found.append(f"the product of inertia of {one} and {other} is {amount}")
+    return _joined(found)
 
 
 def _thrust(p: _Params, effect: EffectEstimate) -> str:
@@ -277,7 +288,14 @@ _KINDS: Mapping[str, _Kind] = {
     "translational_lift": _Kind(
         "another lift of forward flight", _lift, _sides(("ch", "lift by speed squared", "1/m"))
     ),
-    "inertia": _Kind("another inertia", _has_by_axis("inertia"), _axes("inertia", "")),
+    "inertia": _Kind(
+        "another inertia",
+        _inertia,
+        {
+            **_axes("inertia", ""),
+            **_sides(*((pair, f"product of inertia {pair}, over the root of both moments", "1") for pair in _PAIRS)),
+        },
+    ),
     "cg_offset": _Kind(
         "a shifted centre of gravity", _centre, _sides(("x", "forward, in arms", "1"), ("y", "right, in arms", "1"))
     ),

@@ -9,11 +9,12 @@ import pytest
 from scipy.signal import lfilter
 
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
-from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, fitted, prior_of, spectra_of
+from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, fitted, spectra_of
 from mavcal.calib.airframe.flown import FlownFlight, Rest
 from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import Airframe, Kind, Layout
+from mavcal.calib.airframe.priors import prior_of
 from mavcal.calib.airframe.signals import kept_below, spline
 from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.inference.search import search
@@ -237,7 +238,7 @@ def test_the_models_own_error_is_in_both_flights(simulated: Side) -> None:
 def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyond: float, end: float) -> None:
     one = airframe(flew(3, **{name: beyond}), kind=KIND, volts=None)
     likelihood = FlightLikelihood(one, one.flight.usable, torque=True)
-    still = {n: 0.0 for n in one.layout.names if n.startswith(("weak_", "pulse_", "load", "fall", PREFIX))}
+    still = {n: 0.0 for n in one.layout.names if n.startswith(("weak_", "pulse_", "load", "fall", "product_", PREFIX))}
     free, held = (fitted(likelihood, one.layout.start(0.5, G), {**still, **also}, 40) for also in ({}, {name: end}))
     assert free.value(name) == pytest.approx(end)
     best = likelihood.loglik(held.theta, held.spectra)

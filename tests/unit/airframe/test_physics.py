@@ -51,6 +51,28 @@ def test_a_turn_is_damped_more_where_air_streams_into_the_rotors() -> None:
     np.testing.assert_allclose(damped(-3.0), 0.0, atol=1e-12)
 
 
+def test_products_of_inertia_couple_the_axes_as_a_rigid_body() -> None:
+    """I^-1 (moment - w x I w), with I_z = I_x + I_y; the model has the axes' own part of w x I w in `cross`."""
+    gain_x, gain_y, share = 280.0, 200.0, {"xy": 0.2, "xz": -0.1, "yz": 0.05}
+    diagonal = np.array([1.0 / gain_x, 1.0 / gain_y, 1.0 / gain_x + 1.0 / gain_y])
+    whole = np.diag(diagonal)
+    for (i, j), value in zip([(0, 1), (0, 2), (1, 2)], share.values(), strict=True):
+        whole[i, j] = whole[j, i] = value * math.sqrt(diagonal[i] * diagonal[j])
+    c = hover()
+    c[:, 0] += 0.02
+    w = np.array([1.5, -0.8, 0.6])
+    model = airframe(flight(c, rate=np.tile(w, (len(c), 1))))
+    plain = theta(model, gain_x=gain_x, gain_y=gain_y)
+    apart = plain.copy()
+    for pair, value in share.items():
+        apart[model.layout.place[f"product_{pair}"]] = value
+    without, coupled = (model.predicted(at)[1][150] for at in (plain, apart))
+    own = np.cross(w, np.diag(diagonal) @ w)  # the same in both
+    expected = np.linalg.solve(whole, diagonal * without - np.cross(w, whole @ w) + own)
+    np.testing.assert_allclose(coupled, expected, atol=1e-9)
+    assert abs(coupled - without).min() > 0.05
+
+
 def test_thrust_goes_with_a_power_of_the_voltage() -> None:
     volts = np.linspace(12.6, 10.5, 300)
     model = airframe(flight(hover(), voltage=volts))

@@ -115,6 +115,14 @@ def test_every_effect_is_said_in_plain_words_with_its_size(id_):
     assert "_" not in plain_name(id_)
 
 
+def test_a_product_of_inertia_is_a_difference():
+    params = (relative("z", 0.8, 1.0, 0.02), absolute("xy", 0.206, 0.0, 0.008, "1"))
+    assert phrase(flown("inertia", *params)) == (
+        "the real vehicle has 0.80 times the inertia in yaw (0.78 to 0.82) and the product of inertia of roll and "
+        "pitch is 0.206 larger (0.198 to 0.214)"
+    )
+
+
 @pytest.mark.parametrize(
     ("forms", "said"),
     [

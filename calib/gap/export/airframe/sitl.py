@@ -65,7 +65,7 @@ def sitl_settings(
     target = _scaled(frame, mass)
     target = _thrust(target, wanted, made)
     target = _drag(target, frame, wanted, simulator, made)
-    target = _inertia(target, frame, wanted)
+    target = _inertia(target, frame, wanted, made)
     target = _battery(target, wanted, capacity, made)
     target = _motors(target, wanted, made)
     target = _damping(target, frame, wanted, made)
@@ -126,7 +126,9 @@ def _drag(target: Frame, frame: Frame, wanted: Wanted, simulator: Mapping[str, f
     return _with(target, refSpd=2.0 * scale * drag / (scale * pull + root))
 
 
-def _inertia(target: Frame, frame: Frame, wanted: Wanted) -> Frame:
+def _inertia(target: Frame, frame: Frame, wanted: Wanted, made: Settings) -> Frame:
+    if any(wanted.products):
+        made.lost.append("inertia: moment_inertia has no products of inertia")
     grow = target["mass"] / frame["mass"]
     x, y, z = (i * r * grow for i, r in zip(frame.inertia, wanted.inertia, strict=True))
     return replace(target, inertia=(x, y, z))

@@ -36,7 +36,8 @@ class Wanted:
     `lag` are the time constants up and down, s, to be added; `slew` the limit of the command's rate, 1/s, itself.
     `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
     rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
-    ratio of the voltage's fall; `sags` whether anything is asked of the battery. `refused` says what cannot be used.
+    ratio of the voltage's fall; `sags` whether anything is asked of the battery. `products` of inertia (xy, xz, yz)
+    over the root of both moments are to be added. `refused` says what cannot be used.
     """
 
     thrust: float = 1.0
@@ -47,6 +48,7 @@ class Wanted:
     rotor_drag: float = 1.0
     body_drag: float = 1.0
     inertia: Triple = (1.0, 1.0, 1.0)
+    products: Triple = (0.0, 0.0, 0.0)
     cg: tuple[float, float] = (0.0, 0.0)
     torque: Triple = (0.0, 0.0, 0.0)
     yaw: float = 1.0
@@ -72,6 +74,7 @@ def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
         rotor_drag=math.sqrt(light) * reader.ratio("rotor_drag", "c1"),
         body_drag=light * reader.ratio("body_drag", "c2"),
         inertia=(x, y, z),
+        products=(reader.added("inertia", "xy"), reader.added("inertia", "xz"), reader.added("inertia", "yz")),
         cg=(reader.added("cg_offset", "x"), reader.added("cg_offset", "y")),
         torque=(
             reader.added("torque_bias", "x"),

@@ -40,6 +40,7 @@ _ABSOLUTE = {
     "thrust_expo": {"expo": "1"},
     "motor_lag": {"tau_up": "s", "tau_down": "s", "slew": "1/s"},
     "actuator_delay": {"delay": "s"},
+    "inertia": {"xy": "1", "xz": "1", "yz": "1"},
     "inflow": {"cz": "1/s"},
     "translational_lift": {"ch": "1/m"},
     "cg_offset": {"x": "1", "y": "1"},

@@ -98,7 +98,7 @@ def test_gazebo_says_what_to_multiply() -> None:
         Target.GAZEBO,
         *EFFECTS,
         airframe("motor_lag", tau_up=0.03, tau_down=-0.05),
-        airframe("inertia", x=1.25),
+        airframe("inertia", x=1.25, xy=0.1, yz=-0.2),
         airframe("cg_offset", x=0.05, y=-0.02),
         airframe("yaw_coefficient", s=1.2),
         mass=2.0,
@@ -114,6 +114,8 @@ def test_gazebo_says_what_to_multiply() -> None:
     assert float(weak.findtext("motorConstant") or "nan") == pytest.approx(0.9 * 0.92 * 8.54858e-06, rel=1e-5)
     assert root.findtext("inertial/mass") == "2"
     assert "<!-- inertia: ixx times 1.25, iyy times 1, izz times 1 -->" in text
+    assert "<!-- inertia: ixy -0.1 times the root of ixx iyy to the model's own -->" in text  # forward-left-up
+    assert "<!-- inertia: iyz -0.2 times the root of iyy izz" in text
     assert "<!-- pose: x +0.05, y +0.02 times the longest arm" in text
     assert beginnings(lost) == ["actuator_delay", "motor_lag", "wind"]
     assert root.find("sensor") is not None
@@ -123,7 +125,7 @@ def test_matlab_has_a_struct_of_the_real_airframe() -> None:
     text, lost = written(
         Target.MATLAB,
         *EFFECTS,
-        airframe("inertia", x=1.25, sim=287.0),
+        airframe("inertia", x=1.25, xz=0.1, sim=287.0),
         airframe("motor_lag", tau_up=0.02, sim=0.03),
         mass=2.0,
     )
@@ -131,6 +133,7 @@ def test_matlab_has_a_struct_of_the_real_airframe() -> None:
     assert values["airframe"] == "struct('m', 2)"
     assert (values["airframe.k"], values["airframe.ratio.k"]) == ("[22.5]", "[0.9]")
     assert (values["airframe.I"], values["airframe.ratio.I"]) == ("[]", "[1.25 1 1]")
+    assert values["airframe.difference.I_p"] == "[0 0.1 0]"
     assert values["airframe.difference.delay"] == "[0.01]"
     assert (values["airframe.tau"], values["airframe.difference.tau"]) == ("[0.05 0.05]", "[0.02 0.02]")
     assert values["airframe.c2"] == "[]"
