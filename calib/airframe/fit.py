@@ -6,7 +6,6 @@ learned, not declared. The result is a :class:`FlightFit`, the log-likelihood ab
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,17 +19,16 @@ from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from mavcal.calib.airframe.flown import REST_AGREES, FlownFlight
 from mavcal.calib.airframe.geometry import arms
+from mavcal.calib.airframe.gyro_noise import TORQUE_BAND_HZ, GyroNoise
 from mavcal.calib.airframe.physics import TORQUE_ONLY, Airframe, Layout
 from mavcal.calib.airframe.priors import ENDS, prior_of, step_of
-from mavcal.calib.airframe.signals import kept_power
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FORCE_BAND_HZ: Final = 10.0
-TORQUE_BAND_HZ: Final = 20.0
-"""Source: AIRFRAME 5.3; above lies vibration, and the firmware's filters."""
+"""Source: AIRFRAME 5.3, above lies vibration."""
 SLOW_HZ: Final = 0.1
 """Below this a torque is a trim, and is judged over the whole flight; above it, only while the vehicle is made to turn.
 Chosen, not measured: turns last a second or two."""
@@ -51,11 +49,6 @@ _CONVERGED: Final = 0.02
 _WINDOW: Final = 0.15
 """Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
 _LEAST_BINS: Final = 8
-_NOISE_BANDS, _NOISE_HZ = 4, 30.0
-"""The quietest of these bands, from `TORQUE_BAND_HZ` to `_NOISE_HZ`, is taken for the gyroscope's noise. Chosen, not
-measured: vibration of the rotors fills some bands, and the grid's own filter removes what lies above."""
-_QUIETEST: Final = 1.03
-"""Standard deviations by which the least of four equal bands lies below their mean. Source: normal order statistics."""
 _HEARD, _HEARD_HZ = 2.0, 2.0
 """Times the gyroscope's noise up to which turns are judged (commands that answer noise look like a reaction of the
 rotors), and Hz up to which they always are. Chosen, not measured."""
@@ -194,7 +187,7 @@ class FlightLikelihood:
         """Frequency up to which the whole flight's turns stand out of the gyroscope's noise, Hz."""
         turns = excited(self.airframe.flight)[0] & self.airframe.flight.usable
         power = dct(self._measured[:, column] * turns, norm="ortho") ** 2
-        noise = self.gyro_noise[column - 3] * turns.mean() * self._of_white
+        noise = self.noise.power[column - 3] * turns.mean() * self.noise.of_white
         loud = self._hz[(_smooth(power) > _HEARD * noise) & (self._hz <= TORQUE_BAND_HZ)]
         return max(float(loud.max(initial=0.0)), _HEARD_HZ)
 
@@ -258,33 +251,17 @@ class FlightLikelihood:
         one = self._views[view]
         if one.column < 3:
             return _beyond_noise(residual, self._hz[one.picked], below_hz)
-        noise = self.gyro_noise[one.column - 3] * self._rows[one.rows].mean() * self._of_white[one.picked]
+        noise = self.noise.power[one.column - 3] * self._rows[one.rows].mean() * self.noise.of_white[one.picked]
         beyond = np.array(
             [b.sum() for b in np.split(residual**2 - noise, np.searchsorted(self._hz[one.picked], _OCTAVES))]
         )
         return float(beyond[beyond > 0.0].sum())
 
     @cached_property
-    def _of_white(self) -> Array:
-        """Power (N,) of the angular acceleration on the grid for white noise of power 1 of the gyroscope."""
-        flight = self.airframe.flight
-        corner = flight.cutoff_hz.get(Sensor.GYRO, 0.0)
-        passed = 1.0 / (1.0 + (self._hz / corner) ** 4) if corner > 0.0 else np.ones_like(self._hz)
-        return np.asarray((2.0 * np.pi * self._hz) ** 2 * passed * kept_power(self._hz, flight.inertial_hz, flight.fs))
-
-    @cached_property
-    def gyro_noise(self) -> Array:
-        """Power (3,) of the gyroscopes' white noise, by the quietest band above the judged ones; 0 without one."""
-        highest = min(0.45 * self.airframe.flight.inertial_hz, _NOISE_HZ)
-        edges = np.searchsorted(self._hz, np.linspace(TORQUE_BAND_HZ, highest, _NOISE_BANDS + 1))
-        if highest < 1.5 * TORQUE_BAND_HZ or (np.diff(edges) < _LEAST_BINS).any():
-            return np.zeros(3)
-        usable = self.airframe.flight.usable[:, None]
-        power = dct(np.where(usable, self._measured[:, 3:], 0.0), axis=0, norm="ortho") ** 2
-        white = power / np.maximum(self._of_white, 1e-12)[:, None]
-        bands = [white[low:high].mean(axis=0) for low, high in itertools.pairwise(edges)]
-        by_chance = 1.0 - _QUIETEST * math.sqrt(2.0 / float(np.diff(edges).mean()))
-        return np.asarray(np.min(bands, axis=0) / by_chance / max(float(usable.mean()), 1e-9))
+    def noise(self) -> GyroNoise:
+        """Of the gyroscope, by what it measured."""
+        usable = self.airframe.flight.usable
+        return GyroNoise(self.airframe.flight, self._hz, np.where(usable[:, None], self._measured[:, 3:], 0.0))
 
     def spectra(self, theta: Array) -> tuple[Array, ...]:
         """The noise that is left at a point."""

@@ -87,7 +87,7 @@ class Layout:
     scale                 of the accelerometer, relative, about what it reads at rest: there, bias_z is the whole error
     load                  mass that is gained at one moment, relative
     rise                  damping by the inflow that a climb or a tilt in wind adds, over the gain of the axis, s2/m
-    product_xy xz yz      product of inertia over the root of both moments
+    product_xy xz yz      product of inertia over the moment of its second axis
     weak_1 ..., pulse_1   of one motor beside the others, relative: its thrust, or the pulse that it obeys
     ====================  ==============================================================================================
     """
@@ -376,8 +376,8 @@ class Airframe:
         if not products.any():
             return torque
         x, y, z = root = 1.0 / np.sqrt(self._turned_by(theta))  # of the moments of inertia, in one unit for all axes
-        xy, xz, yz = products
-        gyroscopic = np.tensordot(products * (x * y, x * z, y * z), self._twists, axes=1) / root**2
+        xy, xz, yz = products * (y / x, z / x, z / y)  # over the root of both moments
+        gyroscopic = np.tensordot(products * (y * y, z * z, z * z), self._twists, axes=1) / root**2
         whole = np.array([[1.0, xy, xz], [xy, 1.0, yz], [xz, yz, 1.0]])
         return np.asarray((torque - gyroscopic) @ (np.linalg.inv(whole) * root / root[:, None]).T)
 

@@ -23,7 +23,7 @@ small drones in AIRFRAME 2 and 2.1, doubled. `flap` is mostly the rotors' drag, 
 `rise` is 3e-4 for ArduPilot's simulated quad; without it, 7 m/s of wind damped turns by a quarter more."""
 ENDS: Final[Mapping[str, tuple[float, float]]] = {
     "tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
-    "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 1.0), **{f"product_{pair}": (-0.4, 0.4) for pair in PRODUCTS},
+    "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 1.0), **{f"product_{pair}": (-0.3, 0.3) for pair in PRODUCTS},
 }  # fmt: skip
 """Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}

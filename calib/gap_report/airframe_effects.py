@@ -293,7 +293,7 @@ _KINDS: Mapping[str, _Kind] = {
         _inertia,
         {
             **_axes("inertia", ""),
-            **_sides(*((pair, f"product of inertia {pair}, over the root of both moments", "1") for pair in _PAIRS)),
+            **_sides(*((pair, f"product of inertia {pair}, over the moment of {pair[1]}", "1") for pair in _PAIRS)),
         },
     ),
     "cg_offset": _Kind(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mavcal.calib.withheld_check import Check
 
 TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
-AIR_TIERS = ("A0", "A1", "A3", "A4", "A5", "A6", "A7")
+AIR_TIERS = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7")
 """Of the airframe; of sensors are those above."""
 
 

@@ -28,6 +28,7 @@ from mavcal.calib.blind.airframe.logs import (
 from mavcal.calib.blind.airframe.mission import draw_mission, with_low_hover
 from mavcal.calib.blind.airframe.pilot import Tuning, tuned
 from mavcal.calib.blind.airframe.sides import Entry, Kind, Pair, Rng, Side
+from mavcal.calib.blind.airframe.sih import CALM, SIH_KINDS, SOFT, draw_sih, draw_sih_units
 from mavcal.calib.blind.airframe.strange import STRANGE
 from mavcal.calib.blind.airframe.surroundings import ENVIRONMENT, SENSORS, differs, draw_weather
 from mavcal.calib.blind.airframe.thinned import THINNINGS
@@ -49,6 +50,7 @@ class AirTier(StrEnum):
 
     NULL = "A0"
     SINGLE = "A1"
+    SIH = "A2"
     MIXED = "A3"
     LEFT_OUT = "A4"
     FOREIGN = "A5"
@@ -158,6 +160,8 @@ def _drawn(tier: AirTier, rng: Rng) -> Draft:
         case AirTier.SINGLE:
             kind = _pick(rng, (*KINDS, *ENVIRONMENT))
             return _with(rng, [MASS if kind.id == MASS.id and rng.random() < MASSES else kind])
+        case AirTier.SIH:
+            return _of_sih(rng, _pick(rng, SIH_KINDS))
         case AirTier.MIXED:
             return _with(rng, _several(rng))
         case AirTier.LEFT_OUT:
@@ -214,12 +218,29 @@ def _with(
             pair = kind.put(rng, pair)
         if len(kinds) > 1:
             pair = replace(pair, entries=tuple(_inexact(entry, pair.entries) for entry in pair.entries))
-        both = [pair.real.vehicle, pair.sim.vehicle]
-        if all(HOVERS[0] <= hovers(one) <= HOVERS[1] for one in both):
-            belief = float(np.clip(vehicle.drive.expo + rng.uniform(-0.1, 0.1), 0.0, 0.9))
-            tuning = tuned(both, belief, rng.uniform(-0.05, 0.05), compensates=bool(rng.random() < 0.7))
-            return Draft(pair, tuning, draw_logging(rng))
+        if draft := _draft(rng, pair):
+            return draft
     raise AssertionError(f"no vehicle of this size flies with {[kind.id for kind in kinds]}")
+
+
+def _of_sih(rng: Rng, kind: Kind) -> Draft:
+    """A setting of PX4's simulator, which knows no weather."""
+    for _ in range(100):
+        side = Side(draw_sih(rng), CALM, draw_sih_units(rng))
+        if draft := _draft(rng, kind.put(rng, Pair(side, side))):
+            (x, y, z), yaw = draft.tuning.rate, draft.tuning.yaw
+            return replace(draft, tuning=replace(draft.tuning, rate=(x, y, SOFT * z), yaw=SOFT * yaw))
+    raise AssertionError(f"no vehicle flies with {kind.id}")
+
+
+def _draft(rng: Rng, pair: Pair) -> Draft | None:
+    """Pilot and logging of a pair; None where one of the two cannot fly."""
+    both = [pair.real.vehicle, pair.sim.vehicle]
+    if not all(HOVERS[0] <= hovers(one) <= HOVERS[1] for one in both):
+        return None
+    belief = float(np.clip(pair.sim.vehicle.drive.expo + rng.uniform(-0.1, 0.1), 0.0, 0.9))
+    tuning = tuned(both, belief, rng.uniform(-0.05, 0.05), compensates=bool(rng.random() < 0.7))
+    return Draft(pair, tuning, draw_logging(rng))
 
 
 def _inexact(entry: Entry, all_of_them: Sequence[Entry]) -> Entry:

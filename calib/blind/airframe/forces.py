@@ -37,6 +37,7 @@ class Forces:
         self._rho = rho
         self._drag = tuple(0.5 * rho * SEA_LEVEL * area for area in hull.area)
         self._damping, self._torque = hull.damping, hull.torque
+        self._pull = rho * hull.pull
         self._plate = None
         if hull.plate is not None:
             angle, area = hull.plate
@@ -116,11 +117,12 @@ class Forces:
 
     def _on_hull(self, vx: float, vy: float, vz: float) -> Vector:
         cx, cy, cz = self._drag
-        fx, fy = -cx * vx * abs(vx), -cy * vy * abs(vy)
+        k = self._pull
+        fx, fy = -(cx * abs(vx) + k) * vx, -(cy * abs(vy) + k) * vy
         if self._plate is not None:
             nx, ny, c = self._plate
             across = nx * vx + ny * vy
             push = -c * across * abs(across)
             fx += push * nx
             fy += push * ny
-        return fx, fy, -cz * vz * abs(vz)
+        return fx, fy, -(cz * abs(vz) + k) * vz

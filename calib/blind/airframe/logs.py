@@ -29,13 +29,14 @@ GAS, WARMER, AIR_K = 287.05, (10.0, 5.0), (268.0, 308.0)
 class Unit:
     """One inertial unit: where it sits (m from the frame's centre), white noise a loop, bias, and what is wrong.
 
-    `shaken` is noise of the accelerometer in flight, m/s2. `accel_scale` and `gyro_scale` multiply each axis.
+    `shaken` is noise of the accelerometer in flight, m/s2; it and the gyroscope's are of all axes, or of each.
+    `accel_scale` and `gyro_scale` multiply each axis.
     """
 
     place: tuple[float, float, float]
     accel_sd: float
-    gyro_sd: float
-    shaken: float
+    gyro_sd: float | tuple[float, float, float]
+    shaken: float | tuple[float, float, float]
     accel_bias: tuple[float, float, float]
     gyro_bias: tuple[float, float, float]
     every: int = 1
@@ -110,7 +111,7 @@ def draw_errors(rng: Rng, count: int, logging: Logging, unit: Unit) -> Errors:
     return Errors(
         velocity=coloured(rng, count, [drift] * 3, logging.velocity_s),
         attitude=coloured(rng, count, [tilt, tilt, 4.0 * tilt], 20.0),
-        gyro=unit.gyro_sd * rng.standard_normal((count, 3)) + np.array(unit.gyro_bias),
+        gyro=np.array(unit.gyro_sd) * rng.standard_normal((count, 3)) + np.array(unit.gyro_bias),
         height=coloured(rng, count, [0.02], 0.5)[:, 0],
         cutoff=logging.cutoff,
     )
@@ -157,7 +158,7 @@ def _air(vehicle: Vehicle, start: float, count: int) -> dict[str, Array]:
 
 
 def _own_rate(flown: Flown, unit: Unit, rng: Rng) -> Array:
-    noise = unit.gyro_sd * rng.standard_normal(flown.rate.shape)
+    noise = np.array(unit.gyro_sd) * rng.standard_normal(flown.rate.shape)
     out: Array = flown.rate + np.array(unit.gyro_bias) + noise
     return out
 
@@ -168,7 +169,7 @@ def _own_force(flown: Flown, vehicle: Vehicle, unit: Unit, rng: Rng) -> Array:
     there = flown.force + np.cross(flown.spin, arm) + np.cross(flown.rate, np.cross(flown.rate, arm))
     speed = (flown.speeds**2).mean(axis=1, keepdims=True)
     loud = speed / max(float(np.median(speed[speed > 0.0])), 1.0) if (speed > 0.0).any() else np.zeros_like(speed)
-    sd = np.hypot(unit.accel_sd, unit.shaken * loud)
+    sd = np.hypot(unit.accel_sd, np.array(unit.shaken) * loud)
     out: Array = there * np.array(unit.accel_scale) + np.array(unit.accel_bias)
     out += sd * rng.standard_normal(there.shape)
     return out

@@ -24,6 +24,8 @@ YAW_ROOM = 0.15
 YAW_FILTER_S = 0.064
 """Of the yaw rate's error: 2.5 Hz, the default of ArduPilot's ATC_RAT_YAW_FLTE. Rotors that gain speed turn the vehicle
 far stronger than their drag does, and a loop without it rings."""
+_LEAST_KICK_S = 1e-3
+"""For a vehicle whose rotors have no inertia of their own. Chosen, not measured: it never sets the gain."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +247,7 @@ def tuned(vehicles: Sequence[Vehicle], expo: float, hover_error: float, *, compe
         for axis, power in enumerate(authority(v)):
             strongest[axis] = max(strongest[axis], power)
     mass = max(v.hull.mass for v in vehicles)
-    turning = min(0.5 * cross, 1.2 / max(_kick(v) for v in vehicles))
+    turning = min(0.5 * cross, 1.2 / max(_LEAST_KICK_S, *(_kick(v) for v in vehicles)))
     lift = sum(rotor.factor for rotor in vehicles[0].rotors) * vehicles[0].top_thrust
     return Tuning(
         rate=(cross / strongest[0], cross / strongest[1], turning / strongest[2]),

@@ -57,13 +57,15 @@ def air_score(answers: Sequence[CaseAnswer]) -> dict[str, Any]:
     for answer in all_of_them:
         by_tier[AirTier(answer.label["tier"])].append(answer)
     nulls, singles, mixed = by_tier[AirTier.NULL], by_tier[AirTier.SINGLE], by_tier[AirTier.MIXED]
+    sih = by_tier[AirTier.SIH]
     foreign, unknown, left = by_tier[AirTier.FOREIGN], by_tier[AirTier.UNKNOWN], by_tier[AirTier.LEFT_OUT]
-    known = [*singles, *mixed]
+    known = [*singles, *sih, *mixed]
     pairs = _probabilities([*nulls, *known, *foreign, *unknown])
     figures = [
         share("null: a false name, or unknown", [bool(a.false_names) or a.unknown for a in nulls], "<= 0.01"),
         share("null: a false name of the day's air", [bool(a.surplus - a.false_names) for a in nulls]),
         *_singles("single", singles, (">= 0.95", ">= 0.99", "<= 2")),
+        *_singles("sih", sih, (">= 0.95", ">= 0.99", "<= 2")),
         *_singles("foreign", foreign, ("", "", "")),
         *_weak_motors([*known, *foreign]),
         *_sizes(known),
@@ -80,11 +82,12 @@ def air_score(answers: Sequence[CaseAnswer]) -> dict[str, Any]:
     ]
     return {
         "figures": [asdict(figure) for figure in figures],
-        "by_effect": _by_effect([*singles, *foreign]),
+        "by_effect": _by_effect([*singles, *sih, *foreign]),
         "by_probability": _by_probability(pairs),
         "failures": {
             "null": _failed(nulls, lambda a: str(a.label["frame"]), lambda a: not (a.surplus or a.unknown)),
             "single": _failed(singles, _what, _right),
+            "sih": _failed(sih, _what, _right),
             "mixed": _failed(mixed, _what, _exact),
             "foreign": _failed(foreign, _what, _right),
             "unknown": _failed(unknown, _what, lambda a: a.unknown),

@@ -36,6 +36,7 @@ def _digest(paths: Iterable[Path]) -> str:
 AIR_PLAN: Mapping[AirTier, int] = {
     AirTier.NULL: 200,
     AirTier.SINGLE: 300,
+    AirTier.SIH: 200,
     AirTier.MIXED: 150,
     AirTier.LEFT_OUT: 100,
     AirTier.FOREIGN: 100,

@@ -143,7 +143,7 @@ class Hull:
 
     `inertia` and `products` (xy, xz, yz; kg m2) are about the centre of mass, which lies at `centre` (m) from the
     frame's centre. `area` is drag area C_d A (m2) along each axis, `damping` N m s, `torque` a constant moment, N m.
-    `plate` is a sail: (direction from the nose, rad; C_d A, m2).
+    `plate` is a sail: (direction from the nose, rad; C_d A, m2). `pull` is a drag linear in the velocity, N s/m.
     """
 
     mass: float
@@ -154,6 +154,7 @@ class Hull:
     damping: Vector
     torque: Vector = (0.0, 0.0, 0.0)
     plate: tuple[float, float] | None = None
+    pull: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfilt
 
 from mavcal.calib.airframe.effects import AirframeEffect, catalogue, nameless
 from mavcal.calib.airframe.fit import FlightFit, FlightLikelihood, excited, expanded, fitted, spectra_of
@@ -144,7 +144,20 @@ def test_white_noise_of_a_gyroscope_is_what_it_is_at_any_rate(rate: float) -> No
     one = flew(0)
     one = replace(one, acceleration=one.acceleration + spline(stamps, noise)(one.t, 1), inertial_hz=rate)
     likelihood = FlightLikelihood(airframe(one, kind=KIND, volts=None), one.usable, torque=True)
-    np.testing.assert_allclose(likelihood.gyro_noise, 0.01 * HZ / rate, rtol=0.2)
+    np.testing.assert_allclose(likelihood.noise.power, 0.01 * HZ / rate, rtol=0.2)
+
+
+@pytest.mark.parametrize("corner", [20.0, 30.0, 60.0])
+def test_a_filter_that_no_log_states_is_not_taken_for_quiet_sensors(corner: float) -> None:
+    """Two thirds of the noise were missed behind a filter of 20 Hz, and a product of inertia was not found."""
+    rng = np.random.default_rng(13)
+    stamps = np.arange(0.0, N / HZ, 1.0 / 400.0)
+    noise = sosfilt(butter(2, corner, fs=400.0, output="sos"), 0.2 * rng.normal(size=(len(stamps), 3)), axis=0)
+    one = flew(0)
+    turned = spline(stamps, kept_below(noise, 400.0, HZ))(one.t, 1)
+    one = replace(one, acceleration=one.acceleration + turned, inertial_hz=400.0)
+    likelihood = FlightLikelihood(airframe(one, kind=KIND, volts=None), one.usable, torque=True)
+    np.testing.assert_allclose(likelihood.noise.power, 0.04 * HZ / 400.0, rtol=0.35)
 
 
 def test_turns_are_judged_where_they_stand_out_of_the_noise() -> None:

@@ -57,7 +57,7 @@ def test_products_of_inertia_couple_the_axes_as_a_rigid_body() -> None:
     diagonal = np.array([1.0 / gain_x, 1.0 / gain_y, 1.0 / gain_x + 1.0 / gain_y])
     whole = np.diag(diagonal)
     for (i, j), value in zip([(0, 1), (0, 2), (1, 2)], share.values(), strict=True):
-        whole[i, j] = whole[j, i] = value * math.sqrt(diagonal[i] * diagonal[j])
+        whole[i, j] = whole[j, i] = value * diagonal[j]
     c = hover()
     c[:, 0] += 0.02
     w = np.array([1.5, -0.8, 0.6])

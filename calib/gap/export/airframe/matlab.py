@@ -11,7 +11,7 @@ from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
 
 _FIELDS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
     ("I", "inertia", ("x", "y", "z"), "kg m2, which a flight alone does not tell"),
-    ("I_p", "inertia", ("xy", "xz", "yz"), "1, products of inertia over the root of both moments"),
+    ("I_p", "inertia", ("xy", "xz", "yz"), "1, products of inertia over the moment of the second axis"),
     ("k", "thrust_scale", ("s",), "m/s2, thrust at full command over mass"),
     ("e", "thrust_expo", ("expo",), "thrust (1-e) c + e c^2 of the command c"),
     ("tau", "motor_lag", ("tau_up", "tau_down"), "s, up and down"),

@@ -91,11 +91,10 @@ def _inertial(wanted: Wanted, mass: float | None) -> list[str]:
     if wanted.inertia != (1.0, 1.0, 1.0):
         said = ", ".join(f"{n} times {r:.5g}" for n, r in zip(("ixx", "iyy", "izz"), wanted.inertia, strict=True))
         lines.append(f"<!-- inertia: {said} -->")
-    roots = ("ixx iyy", "ixx izz", "iyy izz")
     signed = (-wanted.products[0], -wanted.products[1], wanted.products[2])  # forward-left-up
-    for name, root, added in zip(("ixy", "ixz", "iyz"), roots, signed, strict=True):
+    for name, moment, added in zip(("ixy", "ixz", "iyz"), ("iyy", "izz", "izz"), signed, strict=True):
         if added:
-            lines.append(f"<!-- inertia: {name} {added:+.5g} times the root of {root} to the model's own -->")
+            lines.append(f"<!-- inertia: {name} {added:+.5g} times {moment} to the model's own -->")
     if any(wanted.cg):
         ahead, right = wanted.cg
         lines.append(f"<!-- pose: x {ahead:+.5g}, y {-right:+.5g} times the longest arm to the model's own -->")

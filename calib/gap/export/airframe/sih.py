@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from mavcal.calib.gap.export.airframe.sitl import Settings
@@ -37,8 +36,8 @@ REASONS: Mapping[str, str] = {
 }
 """What the simulator has nothing for. Source: AIRFRAME 4.2."""
 _INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
-_CROSS = (("SIH_IXY", "SIH_IXX", "SIH_IYY"), ("SIH_IXZ", "SIH_IXX", "SIH_IZZ"), ("SIH_IYZ", "SIH_IYY", "SIH_IZZ"))
-"""Each product of inertia and its two moments."""
+_CROSS = (("SIH_IXY", "SIH_IYY"), ("SIH_IXZ", "SIH_IZZ"), ("SIH_IYZ", "SIH_IZZ"))
+"""Each product of inertia and the moment of its second axis."""
 _ALIKE = 0.02
 """Part of a damping up to which axes count as alike. Chosen, not measured: below what flights tell (AIRFRAME 6)."""
 _SAME = 1e-9
@@ -60,9 +59,8 @@ def sih_settings(wanted: Wanted, simulator: Mapping[str, float], *, mass: float 
     after["SIH_KDV"] *= wanted.rotor_drag * grow
     for name, ratio in zip(_INERTIA, wanted.inertia, strict=True):
         after[name] *= ratio * grow
-    for (name, one, other), added in zip(_CROSS, wanted.products, strict=True):
-        share = before[name] / math.sqrt(before[one] * before[other]) + added
-        after[name] = share * math.sqrt(after[one] * after[other])
+    for (name, moment), added in zip(_CROSS, wanted.products, strict=True):
+        after[name] = (before[name] / before[moment] + added) * after[moment]
     after["SIH_KDW"] = before["SIH_KDW"] * grow * _damper(wanted, made)
     after["SIH_T_TAU"] = _lag(before, wanted, made)
     if wanted.rotor_drag != 1.0:

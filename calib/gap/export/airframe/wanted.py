@@ -37,7 +37,7 @@ class Wanted:
     `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
     rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
     ratio of the voltage's fall; `sags` whether anything is asked of the battery. `products` of inertia (xy, xz, yz)
-    over the root of both moments are to be added. `refused` says what cannot be used.
+    over the moment of the second axis are to be added. `refused` says what cannot be used.
     """
 
     thrust: float = 1.0

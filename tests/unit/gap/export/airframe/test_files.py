@@ -114,8 +114,8 @@ def test_gazebo_says_what_to_multiply() -> None:
     assert float(weak.findtext("motorConstant") or "nan") == pytest.approx(0.9 * 0.92 * 8.54858e-06, rel=1e-5)
     assert root.findtext("inertial/mass") == "2"
     assert "<!-- inertia: ixx times 1.25, iyy times 1, izz times 1 -->" in text
-    assert "<!-- inertia: ixy -0.1 times the root of ixx iyy to the model's own -->" in text  # forward-left-up
-    assert "<!-- inertia: iyz -0.2 times the root of iyy izz" in text
+    assert "<!-- inertia: ixy -0.1 times iyy to the model's own -->" in text  # forward-left-up
+    assert "<!-- inertia: iyz -0.2 times izz" in text
     assert "<!-- pose: x +0.05, y +0.02 times the longest arm" in text
     assert beginnings(lost) == ["actuator_delay", "motor_lag", "wind"]
     assert root.find("sensor") is not None
