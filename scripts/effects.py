@@ -10,7 +10,7 @@ from mavcal.calib.airframe import effects as airframe
 from mavcal.calib.airframe import ground
 from mavcal.calib.airframe.density import Densities, Density
 from mavcal.calib.airframe.effects import Act, AirframeEffect
-from mavcal.calib.airframe.physics import FORCE_ONLY, TORQUE_ONLY, Layout
+from mavcal.calib.airframe.physics import FORCE_ONLY, TORQUE_ONLY, Kind, Layout
 from mavcal.calib.airframe.words import FIXES
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, MeanEffect
@@ -89,7 +89,7 @@ def airframe_table() -> str:
     forms: dict[str, list[AirframeEffect]] = {}
     known = Density(1.1, 0.01)
     expected = airframe.of_density(Densities(known, known), rotors_damp=True)
-    for effect in (*airframe.catalogue(Layout(4), rotors_damp=True, hover_gain=(1.0, 1.0, 1.0)), expected):
+    for effect in (*airframe.catalogue(Layout(4), Kind(), (1.0, 1.0, 1.0)), expected):
         if effect.motor in {None, _A_MOTOR}:
             forms.setdefault(effect.id, []).append(effect)
     rows = "".join(f"{airframe_row(id_, made)}\n" for id_, made in forms.items())

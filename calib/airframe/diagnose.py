@@ -244,8 +244,7 @@ def _testable(
     gone = {m.id for m in untestable if not m.latent} | without
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
-    alone = not kind.drag_by_rotor
-    named = catalogue(layout, rotors_damp=kind.rotors_damp, hover_gain=gains, lift_alone=alone)
+    named = catalogue(layout, kind, gains)
     if air is not None and air.alike is None:
         named = (*named, of_density(air, rotors_damp=kind.rotors_damp))
     torque = sim.likelihood.torque

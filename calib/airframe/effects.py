@@ -18,7 +18,7 @@ from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import Densities
 from mavcal.calib.airframe.nameless import GROUPS, PREFIX, SIZES
-from mavcal.calib.airframe.physics import AXES, PRODUCTS, Layout
+from mavcal.calib.airframe.physics import AXES, PRODUCTS, Kind, Layout
 
 Array = NDArray[np.float64]
 
@@ -91,40 +91,36 @@ IDS: Final = frozenset(
 """Every name that the catalogue can give."""
 
 
-def catalogue(
-    layout: Layout, *, rotors_damp: bool, hover_gain: Sequence[float], lift_alone: bool = False
-) -> tuple[AirframeEffect, ...]:
+def catalogue(layout: Layout, kind: Kind, hover_gain: Sequence[float]) -> tuple[AirframeEffect, ...]:
     """Every effect for a vehicle of that many motors.
 
     Parameters
     ----------
-    layout
-        Of the vehicle.
-    rotors_damp
-        Whether the drag of the rotors damps turns too (their own motion with the arm), as in ArduPilot's simulator
-        and in the air; PX4's SIH has a constant of its own.
+    layout, kind
+        Of the vehicle. Where drag does not grow with the rotors' speed, as in PX4's SIH, lift and yaw torque of a motor
+        are settings of their own; a propeller's go together.
     hover_gain
         Angular acceleration at a full differential command (3,), rad/s2: the scale of trims.
-    lift_alone
-        Whether the simulator's lift may differ without its yaw torque, as in PX4's SIH; a propeller's go together.
     """
-    return tuple(_made(layout, rotors_damp, hover_gain, lift_alone))
+    return tuple(_made(layout, kind, hover_gain))
 
 
-def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float], lift_alone: bool) -> Iterator[AirframeEffect]:
+def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[AirframeEffect]:
     relative, plus = Act.TIMES, Act.PLUS
     # what the rotors' own inertia does stays when their thrust or their torque changes
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
-    if lift_alone:  # SIH_T_MAX
+    if not kind.drag_by_rotor:  # SIH_T_MAX
         lift = tuple(Change(0, n, relative) for n in ("k", "gain_x", "gain_y"))
         yield AirframeEffect(
             "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
             torque=True,
         )  # fmt: skip
     # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
-    shares = (("c1", 0.5), ("cz", 0.5), *((n, 1.0) for n in BODY_DRAG), ("ch", 1.0), ("flap_x", -0.5), ("flap_y", -0.5))
+    linear = 0.5 if kind.drag_by_rotor else 1.0
+    whole, turned = ((n, 1.0) for n in (*BODY_DRAG, "ch")), (("flap_x", -0.5), ("flap_y", -0.5))
+    shares = (("c1", linear), ("cz", linear), *whole, *turned)
     forces = (Change(0, n, relative, share) for n, share in shares)
     yield AirframeEffect(
         "thrust_scale", "thrust_by_mass", ("s",), (0.2,), (Change(0, "k", relative), *forces), ("k",),
@@ -132,7 +128,7 @@ def _made(layout: Layout, rotors_damp: bool, gain: Sequence[float], lift_alone: 
     )  # fmt: skip
     yield _one("thrust_expo", "expo", 0.2, (Change(0, "expo", plus),), "expo")
     drag = [Change(0, "c1", relative), Change(0, "cz", relative)]
-    if rotors_damp:
+    if kind.rotors_damp:
         drag += [Change(0, f"damping_{a}", relative) for a in AXES]
         drag += [Change(0, f"flap_{a}", relative) for a in "xy"]
     yield _one("rotor_drag", "c1", 0.6, tuple(drag), "c1", exclusive="rotor_drag", odds=ODDS / 2.0)

@@ -12,7 +12,7 @@ from mavcal.calib.airframe.density import Densities, Density
 from mavcal.calib.airframe.effects import IDS, AirframeEffect, applied, catalogue, nameless, of_density
 from mavcal.calib.airframe.ground import ID as GROUND
 from mavcal.calib.airframe.nameless import GROUPS
-from mavcal.calib.airframe.physics import Airframe, Layout
+from mavcal.calib.airframe.physics import Airframe, Kind, Layout
 from mavcal.calib.airframe.words import FIXES
 from tests.unit.airframe.made import airframe, flight, hover, theta
 
@@ -28,7 +28,7 @@ def model() -> Airframe:
 def every(layout: Layout, *, rotors_damp: bool = True) -> tuple[AirframeEffect, ...]:
     air = of_density(Densities(Density(1.0, 0.01), Density(1.2, 0.01)), rotors_damp=rotors_damp)
     gain = (280.0, 280.0, 7.0)
-    named = catalogue(layout, rotors_damp=rotors_damp, hover_gain=gain, lift_alone=True)
+    named = catalogue(layout, Kind(drag_by_rotor=rotors_damp), gain)
     return (*named, air, *nameless(layout))
 
 
@@ -43,10 +43,11 @@ def block(model: Airframe, name: str) -> AirframeEffect:
     return next(e for e in every(model.layout) if e.block == name)
 
 
-def real(model: Airframe, name: str, *amplitudes: float) -> dict[str, tuple[float, float]]:
-    """Parameters that an effect changes: before and after."""
+def real(model: Airframe, name: str, *amplitudes: float, damps: bool = True) -> dict[str, tuple[float, float]]:
+    """Parameters that an effect changes: before and after. `damps`: its rotors drag and damp."""
     before = flying(model)
-    after, _ = applied(model.layout, before, [block(model, name)], np.array(amplitudes))
+    effect = next(e for e in every(model.layout, rotors_damp=damps) if e.block == name)
+    after, _ = applied(model.layout, before, [effect], np.array(amplitudes))
     changed = np.flatnonzero(before != after)
     return {model.layout.names[k]: (float(before[k]), float(after[k])) for k in changed}
 
@@ -76,10 +77,17 @@ def test_the_derivative_is_that_of_finite_differences(model: Airframe) -> None:
 
 
 def test_a_lift_by_itself_leaves_yaw_as_it_was(model: Airframe) -> None:
-    assert real(model, "thrust_by_lift", -0.1) == {
+    assert real(model, "thrust_by_lift", -0.1, damps=False) == {
         "k": (25.0, pytest.approx(22.5)), "gain_x": (280.0, pytest.approx(252.0)),
         "gain_y": (280.0, pytest.approx(252.0)),
     }  # fmt: skip
+
+
+def test_linear_drag_goes_with_the_mass_where_it_does_not_follow_the_rotors(model: Airframe) -> None:
+    """As in SIH, where a mass of 1.25 was a thrust beside a drag of .88."""
+    for damps, share in ((True, 0.9), (False, 0.8)):
+        before, after = real(model, "thrust_by_mass", -0.2, damps=damps)["c1"]
+        assert after / before == pytest.approx(share)
 
 
 def test_a_force_on_all_motors_scales_thrust_and_what_turns(model: Airframe) -> None:
@@ -171,7 +179,7 @@ def test_each_motor_is_as_likely_to_be_weak_and_all_together_as_any_effect(model
     assert sum(e.odds for e in weak) == pytest.approx(block(model, "thrust_scale").odds)
     for motor in range(1, 5):
         assert len({e.exclusive for e in weak if e.motor == motor}) == 1
-    hexa = catalogue(Layout(6), rotors_damp=True, hover_gain=(280.0, 280.0, 7.0))
+    hexa = catalogue(Layout(6), Kind(), (280.0, 280.0, 7.0))
     assert {e.motor for e in hexa} == {None, *range(1, 7)}
 
 

@@ -184,13 +184,13 @@ def test_a_flight_without_torque_says_nothing_of_turns() -> None:
 
 def effects(of: Side) -> tuple[AirframeEffect, ...]:
     layout = of.fit.layout
-    named = catalogue(layout, rotors_damp=False, hover_gain=(200.0, 180.0, 8.0))
+    named = catalogue(layout, Kind(drag_by_rotor=False), (200.0, 180.0, 8.0))
     return (*(e for e in named if not e.slew and e.id != "battery_sag"), *nameless(layout))
 
 
 def limits(of: Side) -> tuple[AirframeEffect, ...]:
     """The catalogue with the limit of a motor's rate."""
-    named = catalogue(of.fit.layout, rotors_damp=False, hover_gain=(200.0, 180.0, 8.0))
+    named = catalogue(of.fit.layout, Kind(drag_by_rotor=False), (200.0, 180.0, 8.0))
     return (*effects(of), *(e for e in named if e.slew))
 
 

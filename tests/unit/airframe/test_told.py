@@ -12,7 +12,7 @@ from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.diagnose import airframe_gap
 from mavcal.calib.airframe.effects import catalogue
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
-from mavcal.calib.airframe.physics import Layout
+from mavcal.calib.airframe.physics import Kind, Layout
 from mavcal.calib.airframe.testable import Missing
 from mavcal.calib.airframe.told import _by_name, _likely, doubtful, latent, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
@@ -68,7 +68,7 @@ def answered(weights: dict[str, float], *everywhere: str) -> Answer:
     return Answer(kept, (), Nothing(), len(kept))
 
 
-EFFECTS = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
+EFFECTS = catalogue(Layout(4), Kind(), (300.0, 300.0, 8.0))
 
 
 def test_what_is_likelier_than_not_and_not_named_says_what_would_decide() -> None:
@@ -97,7 +97,7 @@ def test_of_three_effects_none_of_which_is_likelier_than_not_none_is_named() -> 
 
 
 def test_what_the_flights_are_too_poor_to_name_is_said() -> None:
-    effects = catalogue(Layout(4), rotors_damp=True, hover_gain=(300.0, 300.0, 8.0))
+    effects = catalogue(Layout(4), Kind(), (300.0, 300.0, 8.0))
     posterior = Nothing().posterior(frozenset())
     kept = (Visited(frozenset({"body_drag"}), np.log(0.7), posterior), Visited(frozenset(), np.log(0.3), posterior))
     answer = Answer(kept, (), Nothing(), 2)

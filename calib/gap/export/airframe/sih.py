@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from mavcal.calib.gap.export.airframe.sitl import Settings
@@ -56,12 +57,12 @@ def sih_settings(wanted: Wanted, simulator: Mapping[str, float], *, mass: float 
     after["SIH_MASS"] *= grow
     after["SIH_T_MAX"] *= wanted.thrust * grow
     after["SIH_Q_MAX"] *= wanted.thrust * wanted.yaw * grow
-    after["SIH_KDV"] *= wanted.rotor_drag * grow
+    after["SIH_KDV"] *= wanted.rotor_drag * math.sqrt(wanted.light) * grow  # its drag does not follow the rotors
     for name, ratio in zip(_INERTIA, wanted.inertia, strict=True):
         after[name] *= ratio * grow
     for (name, moment), added in zip(_CROSS, wanted.products, strict=True):
         after[name] = (before[name] / before[moment] + added) * after[moment]
-    after["SIH_KDW"] = before["SIH_KDW"] * grow * _damper(wanted, made)
+    after["SIH_KDW"] = before["SIH_KDW"] * wanted.light * grow * _damper(wanted, made)
     after["SIH_T_TAU"] = _lag(before, wanted, made)
     if wanted.rotor_drag != 1.0:
         made.notes.append("SIH_KDV acts along the world's three axes alike")

@@ -33,6 +33,9 @@ class Wanted:
     Each is the effect's own, beside what follows from the others: a weaker thrust turns the vehicle less as well, and
     the rotors' drag and the inertia change the damping.
 
+    `light` is by how much a lighter vehicle accelerates more, at the simulator's mass; `rotor_drag` has its root, since
+    rotors that carry less turn more slowly.
+
     `lag` are the time constants up and down, s, to be added; `slew` the limit of the command's rate, 1/s, itself.
     `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
     rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
@@ -47,6 +50,7 @@ class Wanted:
     weak: Mapping[int, float] = field(default_factory=dict)
     rotor_drag: float = 1.0
     body_drag: float = 1.0
+    light: float = 1.0
     inertia: Triple = (1.0, 1.0, 1.0)
     products: Triple = (0.0, 0.0, 0.0)
     cg: tuple[float, float] = (0.0, 0.0)
@@ -72,6 +76,7 @@ def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
         slew=reader.real("motor_lag", "slew"),
         weak=reader.weak(),
         rotor_drag=math.sqrt(light) * reader.ratio("rotor_drag", "c1"),
+        light=light,
         body_drag=light * reader.ratio("body_drag", "c2"),
         inertia=(x, y, z),
         products=(reader.added("inertia", "xy"), reader.added("inertia", "xz"), reader.added("inertia", "yz")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -42,6 +43,15 @@ def test_parameters_of_the_reference_flights() -> None:
     )
     assert after(airframe("rotor_drag", c1=0.6))[0] == FRESH | {"SIH_KDV": 0.6}
     assert after(airframe("motor_lag", tau_up=0.04))[0] == pytest.approx(FRESH | {"SIH_T_TAU": 0.09})
+
+
+def test_another_mass_changes_all_forces_alike() -> None:
+    """At the simulator's mass, thrust and drag grow by as much as the vehicle is lighter; at the real one they stay."""
+    lighter = replace(airframe("thrust_scale", s=1.1), forms={"mass": 0.98, "thrust": 0.02})
+    expected = flown(FRESH) | {"k": 22.0, "c1": 1.1}
+    assert flown(after(lighter)[0]) == pytest.approx(expected)
+    real, _ = after(lighter, mass=1.0 / 1.1)
+    assert real == pytest.approx(FRESH | {"SIH_MASS": 1.0 / 1.1})
 
 
 def test_lags_that_differ_become_one() -> None:
