@@ -3,11 +3,9 @@
 from mavcal.calib.drawing.chart import Chart
 from mavcal.calib.drawing.heat import heat
 from mavcal.calib.drawing.legend import Key
-from mavcal.calib.drawing.picture import Picture, side_by_side, svg, text
+from mavcal.calib.drawing.picture import Blank, Drawing, Picture, sheet, side_by_side, svg, text
 from mavcal.calib.drawing.scale import limits_of, thinned
-from mavcal.calib.drawing.sheet import Blank, Drawing, sheet
-from mavcal.calib.drawing.space import SpaceView
-from mavcal.calib.drawing.sphere import SphereMap
+from mavcal.calib.drawing.space import SpaceView, SphereMap
 
 __all__ = [
     "Blank",

@@ -1,13 +1,17 @@
-"""Parts of every picture: words, a frame, and a style of its own where no page lends it one."""
+"""Words, dots and frames of a picture, and the finished picture for a page, a notebook or a file."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
+
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 
@@ -84,3 +88,45 @@ def side_by_side(
     return Markup('{} role="img" aria-label="{}"><style>{}</style>{}{}</svg>\n').format(
         frame, alt_text, SHEET, paper, Markup().join(groups)
     )
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture as SVG, which every browser and every notebook shows."""
+
+    svg: str = field(repr=False)
+    """The file, as text."""
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a file.
+
+        Raises
+        ------
+        InvalidInputError
+            If `path` does not end in ``.svg``.
+        """
+        target = Path(path)
+        if target.suffix.lower() != ".svg":
+            raise InvalidInputError(f"a picture is an SVG: save {target.name} as .svg")
+        target.write_text(self.svg, encoding="utf-8")
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+
+@dataclass(frozen=True)
+class Blank:
+    """Room without axes, with a word why there is nothing."""
+
+    words: str
+    width: int
+    height: int
+
+    def body(self) -> Markup:
+        """Everything within the frame of the picture."""
+        return text(self.width / 2, self.height / 2, self.words, anchor="middle") if self.words else Markup()
+
+
+def sheet(panels: Sequence[Picture], heading: str, *, columns: int | None = None) -> Drawing:
+    """Panels in rows of `columns` (None: one row) below a heading."""
+    return Drawing(str(side_by_side(panels, heading, columns=columns, heading=heading)))
