@@ -38,8 +38,7 @@ from mavcal.calib.logs.canonical import (
     reference_sensor,
 )
 from mavcal.calib.logs.columns import TableColumns, text_columns
-from mavcal.calib.logs.time_order import moving
-from mavcal.calib.logs.zeros import without_zeros
+from mavcal.calib.logs.damaged import moving, without_zeros
 from mavcal.calib.recording import Array, Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 MOST_BYTES = 1 << 31

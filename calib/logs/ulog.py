@@ -15,8 +15,7 @@ from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware.px4.flight import arming_events, dynamics_channels, flight_channels, truth_channels
 from mavcal.calib.firmware.px4.topics import US, WANTED, Topic, inertial_channels
-from mavcal.calib.logs.time_order import in_order, moving
-from mavcal.calib.logs.zeros import without_zeros
+from mavcal.calib.logs.damaged import in_order, moving, without_zeros
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 MAGIC: Final = b"ULog\x01\x12\x35"

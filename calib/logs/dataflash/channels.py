@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
+from mavcal.calib.logs.damaged import moving
 from mavcal.calib.logs.dataflash.clock import Mask, ordered
-from mavcal.calib.logs.time_order import moving
 from mavcal.calib.recording import Array, Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""The mission that a log holds: `items` -> `course` (where it flies, how long) -> `flown` (of PX4) -> `reading`."""
+"""The mission that a log holds: `items` -> `course` (where it flies, how long) -> `reading`."""

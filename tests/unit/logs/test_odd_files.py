@@ -11,9 +11,9 @@ import pytest
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError, InvalidInputError, UnreadableError
 from mavcal.calib.health.report import health
+from mavcal.calib.logs.damaged import MOST_AT_ONCE, moving
 from mavcal.calib.logs.dataflash.reader import read_dataflash
 from mavcal.calib.logs.tables import read_table
-from mavcal.calib.logs.time_order import MOST_AT_ONCE, moving
 from mavcal.calib.methods.overview import overview
 from mavcal.calib.recording import Oddity, OddSamples, Sensor
 from tests.unit.logs.test_dataflash_reader import HEAD, kinds, made, times

@@ -1,13 +1,35 @@
-"""Selects samples where the time stamps go back."""
+"""Samples that a log holds and no sensor measured: zeros of a dead sensor, and times that go back or stand still."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.recording import Channel
+from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Sensor
+
+_NEVER_ZERO: Final = (Sensor.ACCEL, Sensor.MAG)
+"""A gyroscope may read 0, 0, 0 at rest."""
+
+
+def without_zeros(channel: Channel, events: list[Event]) -> Channel:
+    """`channel` without samples that are exactly zero; `events` gets their number.
+
+    Such samples of an accelerometer or compass come from a dead sensor. A channel that holds nothing else is kept.
+    """
+    if channel.sensor not in _NEVER_ZERO or channel.unit == "counts":
+        return channel
+    zero = ~np.asarray(channel.values.any(axis=1))
+    if not zero.any() or zero.all():
+        return channel
+    when, count = channel.t[zero], int(zero.sum())
+    odd = OddSamples(Oddity.ZERO, channel.sensor, channel.instance, count, len(zero), until=float(when[-1]))
+    text = f"{count} of {len(zero)} samples of {channel.source} are exactly 0, 0, 0, which such a sensor never reads"
+    message = f"{channel.sensor} {channel.instance + 1}: {text}; left out"
+    events.append(Event(float(when[0]), "damage", message, odd))
+    return channel.take(~zero)
 
 
 def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavcal.calib.logs.damaged import in_order
 from mavcal.calib.logs.dataflash.clock import ordered
-from mavcal.calib.logs.time_order import in_order
 from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.examples import examples
 
