@@ -16,7 +16,7 @@ from mavcal.calib.wire.codec import Message
 from mavcal.service.closing import autopilot as ways
 from mavcal.service.closing.conversation import HINT, TRY_S, Conversation
 from mavcal.service.closing.errors import MissionLeft, MissionRefused, SimulatorUnarmed
-from mavcal.service.closing.logged import SPEED, LogMission
+from mavcal.service.closing.mission import SPEED, LogMission
 from mavcal.service.closing.pilot import ARM_S, arm, begin, land
 
 LONGER, MORE_S = 3.0, 45.0

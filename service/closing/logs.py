@@ -8,8 +8,8 @@ from pathlib import Path
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
 from mavcal.calib.recording import Recording
-from mavcal.service.closing.command import LOG
 from mavcal.service.closing.errors import LogUnusable
+from mavcal.service.closing.simulator import LOG
 
 _BEGINNINGS = (b"\xa3\x95", b"ULog")
 """DataFlash, ULog. An `eeprom.bin` of ArduPilot begins with neither."""

@@ -11,19 +11,17 @@ from typing import Any, Protocol
 from mavcal.calib.airframe.flown import dropped
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
-from mavcal.service.closing.command import FRAME, PARAMETERS, SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import SimulatorError, WrongCommand
 from mavcal.service.closing.follower import Follower
 from mavcal.service.closing.link import VehicleLink, require_nobody
-from mavcal.service.closing.logged import LogMission
 from mavcal.service.closing.logs import Flown, find_log, logged_bytes, read_log
-from mavcal.service.closing.mission import Mission, standard_mission
+from mavcal.service.closing.mission import LogMission, Mission, standard_mission
 from mavcal.service.closing.pilot import Pilot
 from mavcal.service.closing.proof import SimulatorProof
 from mavcal.service.closing.rounds import Outcome, RoundResult, measured, outcome_of
 from mavcal.service.closing.settings import SimSettings
-from mavcal.service.closing.simulator import Simulator, free_port
+from mavcal.service.closing.simulator import FRAME, PARAMETERS, Simulator, SimulatorCommand, free_port
 from mavcal.service.closing.work import WorkFolder
 from mavcal.service.errors import EndpointError
 from mavcal.service.link.endpoint import parse_endpoint

@@ -1,12 +1,28 @@
-"""What is flown: legs of velocity or attitude, one after the other, in seconds of the vehicle's clock.
+"""What the simulator flies: the standard mission, or that of the real flight's log.
 
-Velocities are along the heading at take-off (ahead, right, down), so that out and back lie along the body's axes.
+The standard mission has legs of velocity or attitude, in seconds of the vehicle's clock. Velocities are along the
+heading at take-off (ahead, right, down), so that out and back lie along the body's axes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+
+from mavcal.calib.errors import CalibError
+from mavcal.calib.logs.missions.course import durations, with_take_off
+from mavcal.calib.logs.missions.items import LoggedMission
+from mavcal.calib.logs.missions.reading import read_mission
+from mavcal.service.closing.errors import NoMission
+
+_UP = 1.5
+"""Mean climb of a take-off, m/s. Source: ArduPilot's simulator."""
+_LANDING_S = 10.0
+LOW = 2.0
+"""Where the landing begins, m: from here at 0.45 m/s the last seconds are within a rotor's radius of the ground."""
+SPEED = 5.0
+"""Speed for which the length of a log's mission is told, m/s; ArduPilot's own WPNAV_SPEED is 5 to 10."""
 
 
 class MissionKind(StrEnum):
@@ -52,13 +68,6 @@ class Mission:
         return self.rest_s + up_and_down + sum(leg.seconds for leg in self.legs) + self.rest_after_s
 
 
-_UP = 1.5
-"""Mean climb of a take-off, m/s. Source: ArduPilot's simulator."""
-_LANDING_S = 10.0
-LOW = 2.0
-"""Where the landing begins, m: from here at 0.45 m/s the last seconds are within a rotor's radius of the ground."""
-
-
 def standard_mission() -> Mission:
     """The manoeuvres of AIRFRAME 5.10: every effect of the airframe shows in one of them."""
     climbs = [leg for speed in (2.0, 3.0, 4.0) for leg in _out_and_back("climb", down=-speed, seconds=3.0)]
@@ -96,3 +105,32 @@ def _doublet(axis: str) -> list[Leg]:
         Leg(f"{axis} doublet", s, roll=angle * (axis == "roll"), pitch=angle * (axis == "pitch"), leans=True)
         for angle, s in leans
     ]
+
+
+@dataclass(frozen=True)
+class LogMission:
+    """Rest, the items of `flown` from take-off to landing, rest. Times in s."""
+
+    flown: LoggedMission
+    rest_s: float = 10.0
+    rest_after_s: float = 7.0
+    kind: MissionKind = MissionKind.LOG
+
+    @property
+    def seconds(self) -> float:
+        """About how long it takes."""
+        return self.rest_s + sum(durations(self.flown, SPEED)) + self.rest_after_s
+
+
+def log_mission(file: Path) -> LogMission:
+    """The mission that `file` holds.
+
+    Raises
+    ------
+    NoMission
+        If it holds none, or none that a simulated multicopter can fly.
+    """
+    try:
+        return LogMission(with_take_off(read_mission(file)))
+    except CalibError as error:
+        raise NoMission(f"--mission log: {error}") from error

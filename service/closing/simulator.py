@@ -1,27 +1,97 @@
-"""The simulator as a process group of its own: started in the folder of its round, watched, and ended for certain."""
+"""The user's simulator: its command with placeholders, and the process group that runs it.
+
+It is started in the folder of its round, watched, and ended with every process that it started.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import signal
 import socket
+import string
 import subprocess
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from mavcal.service.closing.errors import SimulatorEnded, SimulatorMissing
+from mavcal.service.closing.errors import SimulatorEnded, SimulatorMissing, WrongCommand
 from mavcal.service.lifetime import ending_with_us
 
+PARAMETERS, FRAME, LOG = "sim.parm", "frame.json", "log.bin"
+"""Names of a round's files."""
+PLACEHOLDERS = {
+    "params": "the parameter file",
+    "frame": "the frame file",
+    "log": "where the log belongs",
+    "port": "a free port",
+    "speedup": "the speed",
+    "here": "the folder in which mavcal was started",
+}
+"""Files are named relative to the folder of the round, in which the command runs: ArduPilot's simulator takes no
+absolute frame file."""
 OUTPUT = "simulator.txt"
-"""What it wrote, in the folder of its round."""
+"""File in the folder of the round with what the simulator wrote."""
 LAST_LINES, LAST_BYTES = 12, 4000
 GRACE_S = 5.0
 """From SIGTERM to SIGKILL: a simulator closes its log meanwhile. Chosen, not measured."""
 _LOOK_S = 0.05
+
+
+@dataclass(frozen=True)
+class SimulatorCommand:
+    """A command line with placeholders in braces.
+
+    Raises
+    ------
+    WrongCommand
+        If it cannot be split, is empty, or has a placeholder that does not exist.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        try:
+            names = self._names()
+        except ValueError as error:
+            raise WrongCommand(
+                f"the simulator's command cannot be read: {error}. Check its quotes and braces."
+            ) from error
+        if not self._parts():
+            raise WrongCommand("the simulator's command is empty; example: arducopter --model x:{frame} ...")
+        unknown = sorted(names - PLACEHOLDERS.keys())
+        if unknown:
+            known = ", ".join(f"{{{name}}} ({what})" for name, what in PLACEHOLDERS.items())
+            raise WrongCommand(
+                f"the simulator's command has {{{unknown[0]}}}; known are {known}. Write {{{{ for a brace."
+            )
+
+    def has(self, name: str) -> bool:
+        """Whether the placeholder is used."""
+        return name in self._names()
+
+    def arguments(self, *, port: int, speedup: float, here: Path) -> list[str]:
+        """The command of a round; its files lie in the folder in which it runs."""
+        values = {
+            "params": PARAMETERS, "frame": FRAME, "log": LOG, "port": str(port), "speedup": f"{speedup:g}",
+            "here": str(here),
+        }  # fmt: skip
+        parts = [part.format_map(values) for part in self._parts()]
+        program = here / parts[0]
+        if "/" in parts[0] and program.is_file():  # the command runs elsewhere, and means the one from here
+            parts[0] = str(program.absolute())
+        return parts
+
+    def _names(self) -> set[str]:
+        found = (name for part in self._parts() for _, name, _, _ in string.Formatter().parse(part))
+        return {name for name in found if name is not None}
+
+    def _parts(self) -> list[str]:
+        return shlex.split(self.text)
 
 
 class Simulator:

@@ -140,11 +140,10 @@ def command(
 
 
 def _plan(options: Mapping[str, Any]) -> ClosingPlan:
-    from mavcal.service.closing.command import SimulatorCommand
-    from mavcal.service.closing.logged import log_mission
     from mavcal.service.closing.loop import ClosingPlan
-    from mavcal.service.closing.mission import MissionKind, standard_mission
+    from mavcal.service.closing.mission import MissionKind, log_mission, standard_mission
     from mavcal.service.closing.settings import read_settings
+    from mavcal.service.closing.simulator import SimulatorCommand
     from mavcal.service.commands.gap_files import read_files, read_frame
 
     reading = {

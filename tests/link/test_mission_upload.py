@@ -20,7 +20,7 @@ from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import MissionLeft, MissionRefused
 from mavcal.service.closing.follower import Follower, Upload
 from mavcal.service.closing.link import VehicleLink
-from mavcal.service.closing.logged import LogMission
+from mavcal.service.closing.mission import LogMission
 from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of

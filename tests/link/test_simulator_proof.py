@@ -15,11 +15,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.recording import Recording
-from mavcal.service.closing.command import SimulatorCommand
 from mavcal.service.closing.errors import NoSimulator, OtherVehicle
 from mavcal.service.closing.link import VehicleLink
 from mavcal.service.closing.loop import Closing, ClosingPlan
 from mavcal.service.closing.proof import SimulatorProof
+from mavcal.service.closing.simulator import SimulatorCommand
 from mavcal.service.link.endpoint import parse_endpoint
 from mavcal.service.simvehicle.flight.flightlog import FlightLog
 from mavcal.service.simvehicle.flight.frame import frame_of

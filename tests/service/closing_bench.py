@@ -27,16 +27,14 @@ from mavcal.calib.gap.schema import (
 from mavcal.calib.logs.missions.course import Place, with_take_off
 from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 from mavcal.calib.recording import Recording, Sensor
-from mavcal.service.closing.command import SimulatorCommand
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.follower import Follower
 from mavcal.service.closing.link import VehicleLink
-from mavcal.service.closing.logged import LogMission
 from mavcal.service.closing.loop import ClosingPlan
-from mavcal.service.closing.mission import Leg, Mission
+from mavcal.service.closing.mission import Leg, LogMission, Mission
 from mavcal.service.closing.pilot import Pilot
 from mavcal.service.closing.settings import SimSettings
-from mavcal.service.closing.simulator import Simulator, free_port
+from mavcal.service.closing.simulator import Simulator, SimulatorCommand, free_port
 from mavcal.service.link.endpoint import parse_endpoint
 
 ROOT = Path(__file__).resolve().parents[2]

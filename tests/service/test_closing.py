@@ -30,9 +30,8 @@ from mavcal.service.closing.errors import (
     SimulatorUnarmed,
     WrongCommand,
 )
-from mavcal.service.closing.logged import log_mission
 from mavcal.service.closing.loop import Closing
-from mavcal.service.closing.mission import standard_mission
+from mavcal.service.closing.mission import log_mission, standard_mission
 from mavcal.service.closing.rounds import Outcome, RoundResult
 from mavcal.service.closing.settings import SimSettings
 from tests.patience import scaled

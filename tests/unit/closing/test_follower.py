@@ -11,7 +11,7 @@ from mavcal.calib.logs.missions.items import LoggedMission, MissionItem
 from mavcal.service.closing.conversation import Conversation
 from mavcal.service.closing.errors import MissionRefused, SimulatorUnarmed
 from mavcal.service.closing.follower import Follower
-from mavcal.service.closing.logged import LogMission
+from mavcal.service.closing.mission import LogMission
 
 HOME = MissionItem(0, 16, 0, latitude=47.0, longitude=8.0, altitude=400.0)
 MISSION = LogMission(LoggedMission(HOME, (MissionItem(1, 22, 3, altitude=5.0), MissionItem(2, 21, 3))))

@@ -11,8 +11,7 @@ from click.testing import CliRunner
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.health.report import health
 from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
-from mavcal.service.commands.inspect import command
-from mavcal.service.commands.inspect_output import inspection_lines
+from mavcal.service.commands.inspect import command, inspection_lines
 
 T = np.arange(500) / 50.0
 ACCEL = Channel(Sensor.ACCEL, 0, T, np.tile([0.0, 0.0, -9.8], (500, 1)), "m/s2", Stage.RAW, "IMU")
