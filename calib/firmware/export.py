@@ -12,7 +12,7 @@ stand beside the new ones as comments, in a line of their own in QGroundControl'
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -79,8 +79,7 @@ def write_plan(plan: WritePlan, form: ParameterFormat) -> str:
     ]
     if form == ParameterFormat.PARAMS:
         head += ["# Onboard parameters", "#", "# Vehicle-Id Component-Id Name Value Type"]
-    line = _WRITERS[form]
-    return "\n".join([*(h.replace("\n", " ") for h in head), *(line(c) for c in changes)]) + "\n"
+    return "\n".join([*(h.replace("\n", " ") for h in head), *(_line(c, form) for c in changes)]) + "\n"
 
 
 def write_export(plan: WritePlan, path: Path) -> None:
@@ -111,19 +110,12 @@ def _comment(change: Change) -> str:
     return f"# was {old}{spread}: {change.why}"
 
 
-def _param(change: Change) -> str:
-    return f"{_comment(change)}\n{change.name},{number(change.new)}"
-
-
-def _parm(change: Change) -> str:
-    return f"{change.name:<16} {number(change.new)}  {_comment(change)}"
-
-
-def _params(change: Change) -> str:
-    fields = (1, 1, change.name, number(change.new), MAV_PARAM_TYPE[change.kind])
-    return f"{_comment(change)}\n" + "\t".join(map(str, fields))
-
-
-_WRITERS: Final[Mapping[ParameterFormat, Callable[[Change], str]]] = MappingProxyType(
-    {ParameterFormat.PARAM: _param, ParameterFormat.PARM: _parm, ParameterFormat.PARAMS: _params}
-)
+def _line(change: Change, form: ParameterFormat) -> str:
+    value, comment = number(change.new), _comment(change)
+    match form:
+        case ParameterFormat.PARAM:
+            return f"{comment}\n{change.name},{value}"
+        case ParameterFormat.PARM:
+            return f"{change.name:<16} {value}  {comment}"
+        case ParameterFormat.PARAMS:
+            return f"{comment}\n1\t1\t{change.name}\t{value}\t{MAV_PARAM_TYPE[change.kind]}"

@@ -56,15 +56,15 @@ def shaking_items(recording: Recording, flown: Sequence[TimeSpan]) -> list[Judge
     ]
 
 
-def _fastest(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:
-    """The channel with the widest band: unfiltered first, then the one with more samples."""
-    found = [c for c in recording.find(sensor, instance) if c.unit == "m/s2"]
+def _fastest_accel(recording: Recording, instance: int) -> Channel | None:
+    """The accelerometer channel with the widest band: unfiltered first, then the one with more samples."""
+    found = [c for c in recording.find(Sensor.ACCEL, instance) if c.unit == "m/s2"]
     return min(found, key=lambda c: (c.stage in (Stage.FILTERED, Stage.DEBIASED), -len(c)), default=None)
 
 
 def _vibration(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> JudgedItem:
     subject = f"accel {instance + 1}"
-    channel = _fastest(recording, Sensor.ACCEL, instance)
+    channel = _fastest_accel(recording, instance)
     if channel is None:
         return not_testable("vibration", subject, "it is not in m/s2")
     spectrum = _spectrum(channel, flown)
@@ -168,7 +168,7 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
     counts = [e.odd.count for e in clipped_events(recording, instance) if e.odd is not None]
     if counts:
         return judged("clipping", subject, float(sum(counts)), limits.CLIPPED, f"clipped {sum(counts)} times")
-    channel = _fastest(recording, Sensor.ACCEL, instance)
+    channel = _fastest_accel(recording, instance)
     values = None if channel is None else _usable_rows(channel.values)
     if channel is None or values is None or not len(values):
         return not_testable("clipping", subject, "no sample in m/s2")

@@ -178,7 +178,7 @@ def vibration_findings(
         if level is not None:
             yield level
         if level is None or seen.verdict in (FlightVerdict.WARN, FlightVerdict.FAIL):
-            yield _of_item(seen, limits.VIBRATION, DAMP)
+            yield _of_item(seen, limits.VIBRATION)
         yield _clipping(recording, items["clipping", instance])
         if seen.numbers:
             yield _aliasing(recording, instance, seen.numbers, how_to_log)
@@ -190,10 +190,10 @@ def _instance(item: JudgedItem) -> int:
     return int(item.subject.rpartition(" ")[2]) - 1
 
 
-def _of_item(item: JudgedItem, limit: HealthLimit, action: str) -> HealthFinding:
+def _of_item(item: JudgedItem, limit: HealthLimit) -> HealthFinding:
     """A check that the sanity of a flight makes already."""
     verdict = _SEEN[item.verdict]
-    shown = "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else action
+    shown = "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else DAMP
     text = f"vibrates by {item.text}" if item.name == "vibration" and item.value is not None else item.text
     limit = limit if item.limit is None else HealthLimit.of(item.limit)
     return HealthFinding(item.name, Sensor.ACCEL, _instance(item), verdict, text, shown, item.value, item.sd, limit)
@@ -250,7 +250,7 @@ def _level(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> He
 def _clipping(recording: Recording, item: JudgedItem) -> HealthFinding:
     """Counts with their time; those of a moment are a blow, whose cause is not the mount."""
     instance = _instance(item)
-    made = _of_item(item, limits.CLIPS, DAMP)
+    made = _of_item(item, limits.CLIPS)
     odd = [(event.t, event.odd) for event in clipped_events(recording, instance) if event.odd is not None]
     counted = [(t, found) for t, found in odd if found.count and found.until is not None]
     if not counted:

@@ -159,7 +159,7 @@ def _or_none(channel: Channel | None) -> Channel | None:
 def _ranges(turning: Turning) -> tuple[float, float]:
     """Turn about the vertical and about the horizontal, degrees; from the gyroscope where there is no attitude."""
     if turning.attitude is not None:
-        track = Rotation.from_quat(turning.attitude.values[:, [1, 2, 3, 0]])
+        track = Rotation.from_quat(turning.attitude.values, scalar_first=True)
         yaw, pitch, roll = np.unwrap(track.as_euler("ZYX"), axis=0).T
         return math.degrees(float(np.ptp(yaw))), math.degrees(float(max(np.ptp(pitch), np.ptp(roll))))
     if turning.gyro is None:

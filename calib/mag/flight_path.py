@@ -232,18 +232,15 @@ def _aligned(carried: _Integrated, attitude: Channel | None, start: Array | None
     if attitude is None:
         return np.asarray(carried.at(np.array([begin]))[0][0].T)
     inside = attitude.take((attitude.t >= carried.t[0]) & (attitude.t <= carried.t[-1]))
-    both = np.einsum("nij,nkj->ik", _matrices(inside.values), carried.at(inside.t)[0])
+    logged = Rotation.from_quat(inside.values, scalar_first=True).as_matrix()
+    both = np.einsum("nij,nkj->ik", logged, carried.at(inside.t)[0])
     u, _, vt = np.linalg.svd(both)
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
-def _matrices(wxyz: Array) -> Array:
-    return np.asarray(Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix())
-
-
 def attitudes(attitude: Channel, t: Array) -> Array:
     """The log's attitude (N, 3, 3) at `t` (N,), held beyond its ends."""
-    track = Slerp(attitude.t, Rotation.from_quat(attitude.values[:, [1, 2, 3, 0]]))
+    track = Slerp(attitude.t, Rotation.from_quat(attitude.values, scalar_first=True))
     return np.asarray(track(np.clip(t, attitude.t[0], attitude.t[-1])).as_matrix())
 
 

@@ -131,7 +131,7 @@ def _slow(sensor: Sensor, t: Array, values: Array, unit: str) -> Channel:
 
 
 def _wxyz(path: Trajectory) -> Array:
-    q = path.attitude.as_quat()[:, [3, 0, 1, 2]]
+    q = path.attitude.as_quat(scalar_first=True)
     return np.asarray(q * np.where(q[:, :1] < 0.0, -1.0, 1.0), dtype=np.float64)
 
 

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from mavcal.service.campaigns.items import Item
+from mavcal.service.spreadsheet import csv_text, inert
 
 COLUMNS = ("item", "subject", "name", "outcome", "code", "text", "job", "begun_utc", "ended_utc", "seconds")
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""How a cell begins that a spreadsheet would compute."""
 
 
 def head() -> str:
     """The first line of the CSV."""
-    return _lines([COLUMNS])
+    return csv_text([COLUMNS])
 
 
 def lines(items: Iterable[Item]) -> str:
     """One line an item."""
-    return _lines(map(_cells, items))
+    return csv_text(map(_cells, items))
 
 
 def _cells(item: Item) -> tuple[str, ...]:
     texts = (item.subject, item.name, item.outcome.value, item.code, item.text, item.job_id or "")
-    return (str(item.number), *map(_inert, texts), _utc(item.began_at), _utc(item.ended_at), _seconds(item))
+    return (str(item.number), *map(inert, texts), _utc(item.began_at), _utc(item.ended_at), _seconds(item))
 
 
 def _seconds(item: Item) -> str:
@@ -37,16 +34,5 @@ def _seconds(item: Item) -> str:
     return "" if measured is None else f"{measured:.3f}"
 
 
-def _inert(text: str) -> str:
-    """Escape a text that a spreadsheet would run as a formula: names come from whoever uploads."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
-
-
 def _utc(at: float | None) -> str:
     return "" if at is None else datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
-
-
-def _lines(rows: Iterable[Iterable[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\r\n").writerows(rows)
-    return text.getvalue()

@@ -177,7 +177,7 @@ class Closing:
 
     def _fly(self, settings: SimSettings, doing: str) -> Path:
         """Start the simulator, fly the mission, end the simulator; the log that it left."""
-        plan, folder = self._plan, self._folder.begin_round(self._number)
+        plan, mission, folder = self._plan, self._plan.mission, self._folder.begin_round(self._number)
         settings.write(folder / PARAMETERS, folder / FRAME)
         port = free_port()
         endpoint = parse_endpoint(plan.connect.replace(PORT, str(port)))
@@ -191,10 +191,13 @@ class Closing:
                 with VehicleLink(endpoint) as link:
                     link.connect(plan.heartbeat_s, simulator.check)
                     SimulatorProof(link, simulator.check).require()
-                    flight = _FlightClock(plan.mission.seconds, self._report)
+                    flight = _FlightClock(mission.seconds, self._report)
                     vehicle = Conversation(link, simulator.check, flight.report)
                     by_link = {} if plan.command.has("params") else settings.parameters
-                    _pilot(vehicle, plan.mission).fly(by_link)
+                    if isinstance(mission, LogMission):
+                        Follower(vehicle, mission).fly(by_link)
+                    else:
+                        Pilot(vehicle, mission).fly(by_link)
                     _let_log_end(vehicle, folder)
             except SimulatorError as error:
                 raise error.with_output(simulator.last_lines()) from error
@@ -215,11 +218,6 @@ class Closing:
 
 def _speed(speedup: float) -> str:
     return f"at {speedup:g} times real time" if speedup > 0.0 else "as fast as it goes"
-
-
-def _pilot(vehicle: Conversation, mission: Mission | LogMission) -> Pilot | Follower:
-    """Whoever flies such a mission."""
-    return Follower(vehicle, mission) if isinstance(mission, LogMission) else Pilot(vehicle, mission)
 
 
 class _FlightClock:

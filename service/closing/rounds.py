@@ -153,7 +153,7 @@ def measured(
         not_set,
         log,
         (*_cut_short(report), *(_untold(n) for n in report.not_testable if _matters(n, report))),
-        (*notes, *map(_in_doubt, _doubts(report))),
+        (*notes, *(f"in doubt: {warning}" for warning in _doubts(report))),
     )  # fmt: skip
 
 
@@ -165,10 +165,6 @@ def _cut_short(report: GapReport) -> tuple[str, ...]:
 def _doubts(report: GapReport) -> tuple[str, ...]:
     """What a diagnosis that names nothing material warns of: nobody is to believe that the flights are alike."""
     return () if any(map(is_material, report.effects)) else report.warnings[len(_cut_short(report)) :][:_MOST_DOUBTS]
-
-
-def _in_doubt(warning: str) -> str:
-    return f"in doubt: {warning}"
 
 
 def _untold(untested: NotTestable) -> str:

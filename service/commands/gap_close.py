@@ -29,7 +29,7 @@ from mavcal.service.commands.output import (
     write_file,
     write_json,
 )
-from mavcal.service.commands.reading import readable_file, reading_options
+from mavcal.service.commands.reading import readable_file, reading_options, split_reading
 
 if TYPE_CHECKING:
     from mavcal.calib.gap.schema import GapReport
@@ -146,9 +146,7 @@ def _plan(options: Mapping[str, Any]) -> ClosingPlan:
     from mavcal.service.closing.simulator import SimulatorCommand
     from mavcal.service.commands.gap_files import read_files, read_frame
 
-    reading = {
-        name: options[name] for name in ("mapping", "world", "body", "rate", "unit_accel", "unit_gyro", "unit_mag")
-    }
+    reading, _ = split_reading(dict(options))
     logged = MissionKind(options["kind"]) is MissionKind.LOG
     mission = log_mission(readable_file(options["real"])) if logged else standard_mission()
     command_line = SimulatorCommand(options["simulator"])

@@ -196,7 +196,7 @@ def _trajectory(
     if path is not None:
         frames: dict[str, Any] = {"world": options["frame"], "body": "frd" if options["frame"] == "ned" else "flu"}
         attitude = read_table(readable_file(path), **frames).channel(Sensor.ATTITUDE)
-        return along(attitude.t, Rotation.from_quat(attitude.values[:, [1, 2, 3, 0]]), **facts)
+        return along(attitude.t, Rotation.from_quat(attitude.values, scalar_first=True), **facts)
     assert motion is not None
     made = motion_of(
         motion, MotionOptions(options["duration"], options["poses"], options["fixture_sd"], options["back"]), draw

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
 
 from mavcal.calib.fleet.standing import NAMES, day
 from mavcal.service.fleet.view import FleetUnit
+from mavcal.service.spreadsheet import csv_text, inert
 
 COLUMNS = (
     *("unit", "name", "tags", "autopilot", "firmware", "connected", "silent", "verdict", "preflight_at"),
     *("accel_age_days", "gyro_age_days", "mag_age_days", "low_degc", "high_degc"),
     *("leaves_earliest", "leaves_middle", "leaves_latest", "odd", "needs_recalibration", "reasons", "sensors"),
 )
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the beginning of a formula."""
 
 
 def fleet_csv(units: Iterable[FleetUnit]) -> str:
-    """The table, lines ended by CR LF (RFC 4180)."""
-    out = io.StringIO()
-    writer = csv.writer(out)
-    writer.writerow(COLUMNS)
-    for row in units:
-        writer.writerow([_harmless(str(cell)) for cell in _cells(row)])
-    return out.getvalue()
+    """The table as CSV."""
+    return csv_text([COLUMNS, *(map(inert, _cells(row)) for row in units)])
 
 
-def _cells(row: FleetUnit) -> list[object]:
+def _cells(row: FleetUnit) -> list[str]:
     covered = [s.covered for s in row.standing.sensors if s.covered is not None]
     leaving, ages = row.standing.leaving, row.ages
     odd = [s.name for s in row.standing.sensors if s.oddness is not None and s.oddness.odd]
@@ -52,7 +44,3 @@ def _cells(row: FleetUnit) -> list[object]:
         " ".join(reason.text for reason in row.standing.reasons),
         "; ".join(f"{s.name} {s.newest.device_id}" for s in row.standing.sensors),
     ]
-
-
-def _harmless(cell: str) -> str:
-    return f"'{cell}" if cell.startswith(_FORMULA) else cell
