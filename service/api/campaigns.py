@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.jobs import JobDep
 from mavcal.service.api.models.campaigns import (
     CalibrationCampaignRequest,
@@ -39,18 +39,16 @@ Outcomes = Annotated[list[ItemOutcome] | None, Query(description="only items of 
 
 
 @router.post("/campaigns/preflight", operation_id="start_preflight_campaign", status_code=202, dependencies=[OPERATE])
-async def preflight(
-    body: PreflightCampaignRequest, request: Request, response: Response, service: ServiceDep
-) -> JobModel:
+async def preflight(body: PreflightCampaignRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so."""
     chosen = await _vehicles(service, body.vehicles, body.tag)
     begun = service.campaigns.preflight(chosen, at_once=body.at_once)
-    return _begun(await begun, request, response)
+    return made(job_model(await begun))
 
 
 @router.post("/campaigns/calibrate", operation_id="start_calibration_campaign", status_code=202, dependencies=[OPERATE])
 async def calibrate(
-    body: CalibrationCampaignRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+    body: CalibrationCampaignRequest, request: Request, made: MadeDep, service: ServiceDep, actor: ActorDep
 ) -> JobModel:
     """Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in review."""
     if body.apply:
@@ -58,35 +56,35 @@ async def calibrate(
     given = body.plan_options.given()
     order = CalibrationOrder(body.kind, body.options, given, body.apply, body.reboot, actor)
     chosen = await _vehicles(service, body.vehicles, body.tag)
-    return _begun(await service.campaigns.calibrate(chosen, order, at_once=body.at_once), request, response)
+    return made(job_model(await service.campaigns.calibrate(chosen, order, at_once=body.at_once)))
 
 
 @router.post("/campaigns/restore", operation_id="start_restore_campaign", status_code=202, dependencies=[OPERATE])
 async def restore(
-    body: RestoreCampaignRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+    body: RestoreCampaignRequest, request: Request, made: MadeDep, service: ServiceDep, actor: ActorDep
 ) -> JobModel:
     """Put the last verified calibration of many vehicles back as a job; without `apply` their plans wait in review."""
     if body.apply:
         await require(Scope.WRITE_PARAMS)(request)
     order = RestoreOrder(body.plan_options.given(), body.apply, body.reboot, actor)
     chosen = await _vehicles(service, body.vehicles, body.tag)
-    return _begun(await service.campaigns.restore(chosen, order, at_once=body.at_once), request, response)
+    return made(job_model(await service.campaigns.restore(chosen, order, at_once=body.at_once)))
 
 
 @router.post("/campaigns/fit", operation_id="start_fit_campaign", status_code=202, dependencies=[OPERATE])
-async def fit(body: FitCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+async def fit(body: FitCampaignRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """Run one method on many uploads as one job; the fits are in its items."""
     uploads, chosen = service.recordings.all(), _named(body.recordings)
     begun = service.campaigns.fit(uploads, chosen, body.method, body.options, at_once=body.at_once)
-    return _begun(await begun, request, response)
+    return made(job_model(await begun))
 
 
 @router.post("/campaigns/gap", operation_id="start_gap_campaign", status_code=202, dependencies=[OPERATE])
-async def gap(body: GapCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+async def gap(body: GapCampaignRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items."""
     uploads, chosen = service.recordings.all(), _named(body.recordings)
     begun = service.campaigns.gap(uploads, chosen, body.sim, body.nominal, at_once=body.at_once)
-    return _begun(await begun, request, response)
+    return made(job_model(await begun))
 
 
 @router.post("/campaigns/{job_id}/resume", operation_id="resume_campaign", status_code=202, dependencies=[OPERATE])
@@ -176,9 +174,3 @@ async def _vehicles(service: Service, asked: Sequence[str], tag: str | None) -> 
 
 def _named(asked: Sequence[str]) -> tuple[str, ...] | None:
     return None if asked == "all" else tuple(asked)
-
-
-def _begun(job: Job, request: Request, response: Response) -> JobModel:
-    model = job_model(job)
-    response.headers["Location"] = relative(request, model.href)
-    return model

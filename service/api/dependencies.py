@@ -1,13 +1,14 @@
-"""What routes share: the application's parts by type, and references relative to a request.
+"""What routes share: the application's parts by type, and addresses relative to a request.
 
 The service may live behind any path prefix, and cannot know it.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, cast
+from dataclasses import dataclass
+from typing import Annotated, Protocol, TypeVar, cast
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Response
 
 from mavcal.service.core import Service
 
@@ -17,6 +18,37 @@ def _service(request: Request) -> Service:
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+class _Addressed(Protocol):
+    href: str
+
+
+Addressed = TypeVar("Addressed", bound=_Addressed)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Says in the header Location of an answer where the thing is that the request has made."""
+
+    request: Request
+    response: Response
+
+    def at(self, target: str) -> None:
+        """The thing is at `target`, given from the service's root."""
+        self.response.headers["Location"] = relative(self.request, target)
+
+    def __call__(self, model: Addressed) -> Addressed:
+        """`model`, which names its own address."""
+        self.at(model.href)
+        return model
+
+
+def _made(request: Request, response: Response) -> Made:
+    return Made(request, response)
+
+
+MadeDep = Annotated[Made, Depends(_made)]
 
 
 def relative(request: Request, target: str) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.models.gaps import GapModel, GapRequest, GapSummary
 from mavcal.service.api.security import OPERATE, READ, SightDep
 from mavcal.service.api.views import document_response, gap_model, gap_summary
@@ -19,11 +19,9 @@ router = APIRouter(tags=["gaps"])
 
 
 @router.post("/gaps", operation_id="diagnose_gap", status_code=202, dependencies=[OPERATE])
-async def diagnose(body: GapRequest, request: Request, response: Response, service: ServiceDep) -> GapSummary:
+async def diagnose(body: GapRequest, made: MadeDep, service: ServiceDep) -> GapSummary:
     """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
-    model = gap_summary(await service.jobs.computing.diagnose(body.real, body.sim, body.nominal, body.limit_s))
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(gap_summary(await service.jobs.computing.diagnose(body.real, body.sim, body.nominal, body.limit_s)))
 
 
 @router.get("/gaps", operation_id="list_gaps", dependencies=[READ])

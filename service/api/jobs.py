@@ -17,7 +17,7 @@ from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.models.jobs import AnswerRequest, JobModel, JobRequest, JobSummary, UnfinishedModel
 from mavcal.service.api.models.plans import ApplyRequest, PlanModel, PlanRequest, ReviewModel
 from mavcal.service.api.models.steps import ProcedureModel
@@ -188,14 +188,10 @@ async def procedures() -> list[ProcedureModel]:
 
 
 @router.post("/vehicles/{vehicle_id}/jobs", operation_id="start_job", status_code=202, dependencies=[OPERATE])
-async def start(
-    vehicle_id: str, body: JobRequest, request: Request, response: Response, service: ServiceDep
-) -> JobModel:
+async def start(vehicle_id: str, body: JobRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """Start a calibration; 409 if that vehicle has one running."""
     job = await service.jobs.submit(vehicle_id, body.kind, body.options, body.plan_options.given())
-    model = job_model(job)
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(job_model(job))
 
 
 @router.get("/jobs", operation_id="list_jobs", dependencies=[READ])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter
 
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.models.vehicles import (
     LinkModel,
     LinkRequest,
@@ -27,10 +27,10 @@ async def links(service: ServiceDep, sight: SightDep) -> list[LinkModel]:
 
 
 @router.post("/links", operation_id="open_link", status_code=201, dependencies=[OPERATE])
-async def open_link(body: LinkRequest, request: Request, response: Response, service: ServiceDep) -> LinkModel:
+async def open_link(body: LinkRequest, made: MadeDep, service: ServiceDep) -> LinkModel:
     """Open a link; one that is open already is returned as it is."""
     link = await service.links.open(body.url)
-    response.headers["Location"] = relative(request, f"api/v1/links/{link.id}")
+    made.at(f"api/v1/links/{link.id}")
     return link_model(link, service.vehicles)
 
 
@@ -57,12 +57,12 @@ async def signing_keys(service: ServiceDep) -> list[SigningKeyModel]:
 
 @router.post("/signing-keys", operation_id="add_signing_key", status_code=201, dependencies=[ADMIN])
 async def add_signing_key(
-    body: SigningKeyRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+    body: SigningKeyRequest, made: MadeDep, service: ServiceDep, actor: ActorDep
 ) -> SigningKeyModel:
     """Keep a signing key, or make one."""
     given = None if body.key is None else body.key.get_secret_value()
     known = await service.signing.add(body.name, given, actor)
-    response.headers["Location"] = relative(request, "api/v1/signing-keys")
+    made.at("api/v1/signing-keys")
     return known
 
 

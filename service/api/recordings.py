@@ -6,14 +6,14 @@ import asyncio
 from collections.abc import AsyncIterator, Coroutine
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, HTTPException, Query, Request, Response
+from fastapi import APIRouter, HTTPException, Query, Request
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.report import to_json
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.models.fits import FitJobRequest, FitRequest, FitsModel
 from mavcal.service.api.models.jobs import JobModel
 from mavcal.service.api.models.recordings import (
@@ -99,7 +99,7 @@ def _left() -> HTTPException:
 )
 async def upload(
     request: Request,
-    response: Response,
+    made: MadeDep,
     service: ServiceDep,
     name: Annotated[str, Query(min_length=1, max_length=200, description="file name, whose ending names the format")],
     reading: Annotated[str, Query(description="JSON of reading options: mapping, world, body, rate, units")] = "{}",
@@ -107,10 +107,7 @@ async def upload(
     """Upload a recording as the body of the request."""
     body = Body(request)
     adding = service.recordings.add(name, body.chunks(), _reading(reading))
-    row = await while_connected(request, adding, body)
-    model = recording_model(row)
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(recording_model(await while_connected(request, adding, body)))
 
 
 @router.get("/methods", operation_id="list_methods", dependencies=[READ])
@@ -139,39 +136,31 @@ async def series(recording_id: str, request: Request, service: ServiceDep) -> li
 
 
 @router.post("/recordings/{recording_id}/fits", operation_id="fit_recording", dependencies=[OPERATE])
-async def fit(
-    recording_id: str, body: FitRequest, request: Request, response: Response, service: ServiceDep
-) -> FitsModel:
+async def fit(recording_id: str, body: FitRequest, request: Request, made: MadeDep, service: ServiceDep) -> FitsModel:
     """Run one method on an uploaded recording and wait for it; `POST /fits` does not wait.
 
     It is a job of kind `fit`, whose address is in Location. It is cancelled when the client goes away.
     """
     fitting = service.jobs.computing.fitted(recording_id, body.method, body.options)
     job = await while_connected(request, fitting)
-    response.headers["Location"] = relative(request, job_summary(job).href)
+    made(job_summary(job))
     return FitsModel.model_validate({"method": body.method, "fits": to_json(job.results)})
 
 
 @router.post("/fits", operation_id="start_fit", status_code=202, dependencies=[OPERATE])
-async def start_fit(body: FitJobRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+async def start_fit(body: FitJobRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """A job that runs one method on an uploaded recording: followed, cancelled and listed as every other job."""
-    model = job_model(await service.jobs.computing.fit(body.recording, body.method, body.options))
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(job_model(await service.jobs.computing.fit(body.recording, body.method, body.options)))
 
 
 @router.post("/recordings/{recording_id}/jobs", operation_id="plan_recording", status_code=202, dependencies=[OPERATE])
-async def plan(
-    recording_id: str, body: RecordingJobRequest, request: Request, response: Response, service: ServiceDep
-) -> JobModel:
+async def plan(recording_id: str, body: RecordingJobRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """A job that fits an uploaded recording; then it is in review, or failed if it is not of this vehicle's sensors.
 
     What it plans is accepted, written, proved and taken back as every other job's.
     """
     job = await service.jobs.adopt(body.vehicle_id, recording_id, body.method, body.options, body.plan_options.given())
-    model = job_model(job)
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(job_model(job))
 
 
 def _reading(text: str) -> dict[str, Any]:

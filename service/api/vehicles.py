@@ -13,13 +13,13 @@ from contextlib import aclosing
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.preflight.check import Snapshot
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states
 from mavcal.calib.recording import Channel, Recording
-from mavcal.service.api.dependencies import ServiceDep, relative
+from mavcal.service.api.dependencies import MadeDep, ServiceDep
 from mavcal.service.api.models.jobs import JobModel
 from mavcal.service.api.models.live import LiveModel, SamplesModel, WatchModel, WatchRequest
 from mavcal.service.api.models.preflight import PreflightModel, PreflightRequest, RestoreRequest
@@ -132,16 +132,14 @@ async def stream(found: VehicleDep, service: ServiceDep, sight: SightDep) -> Asy
     status_code=201,
     dependencies=[OPERATE],
 )
-async def watch_vehicle(
-    found: VehicleDep, body: WatchRequest, request: Request, response: Response, service: ServiceDep
-) -> WatchModel:
+async def watch_vehicle(found: VehicleDep, body: WatchRequest, made: MadeDep, service: ServiceDep) -> WatchModel:
     """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
 
     Its former message rates are put back when the last watch is over, at once when it arms, and before a job chooses
     its own. It is asked for nothing while it is armed or silent, or while a job runs.
     """
     begun = service.live.begin(found.id, body.rate_hz)
-    response.headers["Location"] = relative(request, f"api/v1/vehicles/{found.id}/samples?watch={begun.id}")
+    made.at(f"api/v1/vehicles/{found.id}/samples?watch={begun.id}")
     return WatchModel(id=begun.id, rate_hz=begun.rate_hz)
 
 
@@ -225,13 +223,9 @@ async def run(
 @router.post(
     "/vehicles/{vehicle_id}/restore", operation_id="restore_calibration", status_code=202, dependencies=[OPERATE]
 )
-async def restore(
-    vehicle_id: str, body: RestoreRequest, request: Request, response: Response, service: ServiceDep
-) -> JobModel:
+async def restore(vehicle_id: str, body: RestoreRequest, made: MadeDep, service: ServiceDep) -> JobModel:
     """Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the plan.
 
     409 if no calibration of this very unit was verified here.
     """
-    model = job_model(await service.jobs.restore(vehicle_id, body.given()))
-    response.headers["Location"] = relative(request, model.href)
-    return model
+    return made(job_model(await service.jobs.restore(vehicle_id, body.given())))
