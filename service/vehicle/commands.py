@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.wire.codec import decode
 from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, VehicleSilent
-from mavcal.service.vehicle.addressee import Addressee
+from mavcal.service.vehicle.exchange import Addressee
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS, CANCELLED = range(7)
 _RESULTS = {

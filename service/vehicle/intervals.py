@@ -21,8 +21,8 @@ from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.identity import Autopilot
 
 if TYPE_CHECKING:
+    from mavcal.service.vehicle.exchange import Expectation
     from mavcal.service.vehicle.vehicle import Vehicle
-    from mavcal.service.vehicle.waits import Expectation
 
 DEFAULT_INTERVAL = 0
 """Interval that means: as the firmware would without us."""

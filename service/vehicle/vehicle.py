@@ -17,10 +17,10 @@ from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
 from mavcal.service.vehicle.channels import Channels, LinkChannel
 from mavcal.service.vehicle.events import VehicleEventKind
+from mavcal.service.vehicle.exchange import Pace, Waits
 from mavcal.service.vehicle.heard import STATE_IDS, VERSION_ID
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
-from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
 from mavcal.service.vehicle.rate_ledger import RateLedger
 from mavcal.service.vehicle.state import (
@@ -35,7 +35,6 @@ from mavcal.service.vehicle.state import (
     writable,
 )
 from mavcal.service.vehicle.subscribers import FramesCallback, Subscribers, begun_at
-from mavcal.service.vehicle.waits import Waits
 
 CONFLICT_S = 30.0
 """A doubt about who is being talked to holds for so long after its last sign."""

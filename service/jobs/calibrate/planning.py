@@ -13,7 +13,7 @@ from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fin
 from mavcal.calib.firmware.in_force.origin import Origin, differences
 from mavcal.calib.firmware.options import CONFIRMATIONS, Key, compose_options, key_text, parse_key, unknown_keys
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
-from mavcal.calib.firmware.slots import CALIBRATED, NO_DEVICE_IDS, px4_sensor_ids
+from mavcal.calib.firmware.slots import CALIBRATED, px4_sensor_ids
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.recording import Identity, Sensor
@@ -156,25 +156,36 @@ def make_plan(
     parameters: Mapping[str, Value],
     identity: Identity,
     options: Mapping[str, Any],
-    temperatures: Mapping[int, float],
+    jobs: Iterable[Job],
+    vehicle_id: str,
     *,
-    unproved_origin: str = "",
+    unproved_origin: str | None = None,
     without_row: Iterable[Key] = (),
-    stated: Mapping[Key, int] = NO_DEVICE_IDS,
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
-    `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
-    and `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says. PX4 itself says `without_row`.
-    `stated` is what :func:`held_device_ids` finds.
+    Parameters
+    ----------
+    results, parameters, identity
+        The fits, and the vehicle's present parameters and identity.
+    options
+        Those of the plan, as plain data.
+    jobs, vehicle_id
+        Every job: earlier ones of this vehicle know what its parameters do not say.
+    unproved_origin
+        Of fits of a recording, what :func:`calib.firmware.in_force.origin.unproved` says; None: of a capture.
+    without_row
+        See :func:`keys_without_row`.
     """
-    rowless = frozenset(without_row)
+    known, rowless = tuple(jobs), frozenset(without_row)
     chosen = compose_options(
         options,
-        accel_temperature=dict(temperatures),
-        unproved_origin=unproved_origin,
+        accel_temperature=accel_temperatures(known, vehicle_id, parameters),
+        unproved_origin=unproved_origin or "",
         without_row=rowless,
     )
+    # a recording says its own device ids
+    stated = held_device_ids(known, vehicle_id, parameters) if unproved_origin is None else {}
     given = {(key[0], device) for key, device in chosen.device_ids.items()}
     earlier = {k: device for k, device in stated.items() if k not in rowless and (k[0], device) not in given}
     chosen = dataclasses.replace(chosen, device_ids={**earlier, **chosen.device_ids})

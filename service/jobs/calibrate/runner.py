@@ -31,7 +31,6 @@ from mavcal.service.jobs.calibrate.planning import (
     WITHOUT_ROW,
     accel_temperatures,
     foresee,
-    held_device_ids,
     keep_plan,
     make_plan,
     move_to_review,
@@ -139,17 +138,15 @@ class Runner:
             if isinstance(fitted.outcome, GaveUp):
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
-            known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
-            stated = held_device_ids(self.jobs(), require_vehicle(job), fitted.parameters)
             planned = await asyncio.to_thread(
                 make_plan,
                 results,
                 fitted.parameters,
                 identity,
                 plan_options,
-                known,
+                self.jobs(),
+                require_vehicle(job),
                 without_row=fitted.without_row,
-                stated=stated,
             )
             await keep_plan(handle, planned)
         except CaptureEnded as ended:

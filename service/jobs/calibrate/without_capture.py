@@ -20,9 +20,7 @@ from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import IllegalTransition, NothingVerified, ServiceError
 from mavcal.service.jobs.calibrate.planning import (
     Planned,
-    accel_temperatures,
     checked_plan_options,
-    held_device_ids,
     keep_plan,
     keys_without_row,
     make_plan,
@@ -50,8 +48,7 @@ async def compose_plan(
 ) -> tuple[Identity, Planned]:
     """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle.
 
-    `jobs` are all jobs: earlier ones know at which temperature an accelerometer was calibrated. `without_row`: see
-    :func:`service.jobs.calibrate.planning.keys_without_row`.
+    `jobs` and `without_row` are those of :func:`service.jobs.calibrate.planning.make_plan`.
 
     Raises
     ------
@@ -63,23 +60,20 @@ async def compose_plan(
     drift = any(fit.model.polynomial is not None for fit in results)
     read = await read_needed(vehicle, sensors_of(results), drift=drift)
     parameters = {name: reading.value for name, reading in read.items()}
-    doubt = ""
+    doubt = None
     if origin is not None:
         require_origin(from_json(origin, Origin), identity, parameters)
         doubt = unproved(from_json(origin, Origin), identity)
-    earlier = tuple(jobs)
-    known = accel_temperatures(earlier, vehicle.id, parameters)
-    stated = held_device_ids(earlier, vehicle.id, parameters) if origin is None else {}  # a log says its own ids
     return identity, await asyncio.to_thread(
         make_plan,
         results,
         parameters,
         identity,
         options,
-        known,
+        jobs,
+        vehicle.id,
         unproved_origin=doubt,
         without_row=without_row,
-        stated=stated,
     )
 
 

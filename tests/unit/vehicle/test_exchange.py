@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from mavcal.service.vehicle.pace import MISSED, MOST_S, Pace
+from mavcal.service.vehicle.exchange import MISSED, MOST_S, Pace
 
 
 def test_patience_follows_what_answers_took_and_stays_within_its_bounds() -> None:

@@ -1,4 +1,4 @@
-"""Waits for frames, with deadlines on a given clock.
+"""Exchanges of messages with a vehicle: whom they are with, how long an answer may take, and the wait for it.
 
 Nothing sleeps: a wait is a future that a frame resolves, or a tick once its deadline has passed.
 """
@@ -6,12 +6,28 @@ Nothing sleeps: a wait is a future that a frame resolves, or a tick once its dea
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
+from mavcal.calib.wire.codec import Message, RawMessage
 from mavcal.calib.wire.frames import Frame
+from mavcal.service.link.types import OwnIdentity
+from mavcal.service.vehicle.state import VehicleState
 
 T = TypeVar("T")
+
+MOST_S = 5.0
+"""Nothing is waited for longer than this, however slow the answers have become."""
+_SMOOTHING, _SPREADING = 1 / 8, 1 / 4
+_SPREADS = 4.0
+_TRIPS = 100
+"""Whether so many questions were answered is remembered; a link may become worse or better."""
+MISSED = 1 / 200
+"""A parameter that exists may count as absent once in so many times."""
+MOST_SILENCES, FEWEST_SILENCES = 5, 2
+"""Five: at 30 % loss each way a parameter that exists is missed once in 200 times. Two: one gap of the link proves
+nothing."""
 
 
 class Expectation(Generic[T]):
@@ -120,3 +136,81 @@ class Waits:
         self._error = error
         for expectation in list(self._expectations):
             expectation.fail(error)
+
+
+class Addressee(Protocol):
+    """A vehicle that messages can be sent to, with its pending answers and its state."""
+
+    system: int
+    """Its system id."""
+
+    component: int
+    """Its component id."""
+
+    @property
+    def own(self) -> OwnIdentity:
+        """Our own ids in the messages to it, to which it answers."""
+
+    waits: Waits
+    """The answers that are awaited from it."""
+
+    state: VehicleState
+    """The latest state."""
+
+    @property
+    def silent(self) -> bool:
+        """Whether its last heartbeat is more than 3 s older than what was read of the link."""
+
+    def clock(self) -> float:
+        """Monotonic time, s."""
+
+    def send(self, message: Message | RawMessage) -> None:
+        """Send to it. Raises LinkDown if that is not possible."""
+
+
+class Pace:
+    """Mean and spread of the answers' delays, estimated as TCP does it (RFC 6298)."""
+
+    def __init__(self) -> None:
+        self._mean: float | None = None
+        self._spread = 0.0
+        self._trips: deque[bool] = deque(maxlen=_TRIPS)
+
+    def answered(self, seconds: float) -> None:
+        """Record the delay of an answer. Not for a question asked twice: which one was answered is unknown."""
+        if self._mean is None:
+            self._mean, self._spread = seconds, seconds / 2
+            return
+        self._spread += _SPREADING * (abs(seconds - self._mean) - self._spread)
+        self._mean += _SMOOTHING * (seconds - self._mean)
+
+    def patience(self, at_first: float, least: float) -> float:
+        """Time to wait for an answer, s.
+
+        Parameters
+        ----------
+        at_first
+            While no answer was timed yet.
+        least
+            However fast they were.
+        """
+        if self._mean is None:
+            return at_first
+        return min(max(self._mean + _SPREADS * self._spread, least), MOST_S)
+
+    def trip(self, *, answered: bool) -> None:
+        """Count whether a question that has an answer was answered in time."""
+        self._trips.append(answered)
+
+    def silences(self) -> int:
+        """Number of unanswered questions that proves absence: by loss alone it happens less than once in 200 times.
+
+        Nothing but the questions so far tells the share lost: any was equally likely before them. The chance of
+        k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.
+        """
+        asked, lost = len(self._trips), sum(not answered for answered in self._trips)
+        chance, k = 1.0, 0
+        while k < MOST_SILENCES and (k < FEWEST_SILENCES or chance > MISSED):
+            chance *= (lost + 1 + k) / (asked + 2 + k)
+            k += 1
+        return k
