@@ -73,7 +73,7 @@ class ArduPilotVehicle(FlightController):
         self.commands.boot()
         self.parameters.boot()
         if self.table.get("INS_GYR_CAL", 1.0) == 1:
-            self.commands.store_gyro_offsets(announce=False)
+            self.commands.store_gyro_offsets()
         self.every(1.0, lambda: self.broadcast(self.heartbeat()), first=1.0)
         self.every(10.0, lambda: self.broadcast(dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)))
         self.every(STATISTICS_PERIOD_S, self._statistics, first=STATISTICS_FIRST_S)

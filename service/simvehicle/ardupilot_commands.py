@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -84,15 +83,16 @@ class ArduPilotCommands:
         if command == dialect.MAV_CMD_ACCELCAL_VEHICLE_POS:
             self._accel_calibration.answer(command_parameters(received)[0])
             return
+
+        def reply(result: int) -> None:
+            ack = dialect.MAVLink_command_ack_message(command, result, 0, 0, received.system, received.component)
+            self._vehicle.send(channel, ack)
+
+        self._reply = reply
         handler = self._handlers.get(command)
-        reply_to = (received.system, received.component)
-        self._reply = partial(self._acknowledge, channel, command, reply_to)
         result = UNSUPPORTED if handler is None else handler(channel, command_parameters(received))
         if result is not None:
-            self._reply(result)
-
-    def _acknowledge(self, channel: MavlinkChannel, command: int, to: tuple[int, int], result: int) -> None:
-        self._vehicle.send(channel, dialect.MAVLink_command_ack_message(command, result, 0, 0, *to))
+            reply(result)
 
     # --- messages
 
@@ -108,8 +108,7 @@ class ArduPilotCommands:
         return ACCEPTED if accepted else DENIED
 
     def _get_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
-        interval = self._messages.interval_us(channel, int(p[0]))
-        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(int(p[0]) & 0xFFFF, interval))
+        self._vehicle.send(channel, self._messages.interval(channel, int(p[0])))
         return ACCEPTED
 
     def _request_message(self, channel: MavlinkChannel, p: Parameters) -> int | None:
@@ -236,12 +235,11 @@ class ArduPilotCommands:
         self._reply(result)
         self._stored.write(values)
 
-    def store_gyro_offsets(self, *, announce: bool) -> float:
-        """Run the gyro calibration of this instant; returns how long the firmware would take."""
+    def store_gyro_offsets(self) -> None:
+        """Calibrate the gyros at this instant, as at boot: nobody is told of the offsets."""
         now = self._vehicle.time
-        offsets, duration = calibration.gyro_offsets(self._sensors, now)
-        self._stored.write(calibration.gyro_values(self._sensors, now, offsets), announce=announce)
-        return duration
+        offsets, _ = calibration.gyro_offsets(self._sensors, now)
+        self._stored.write(calibration.gyro_values(self._sensors, now, offsets), announce=False)
 
     def _calibrate_gyros(self, then: Callable[[int, dict[str, Value]], None]) -> None:
         vehicle, reply = self._vehicle, self._reply

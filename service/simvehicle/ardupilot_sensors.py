@@ -99,11 +99,7 @@ class ArduPilotSensors:
             accel = raw_accel @ self.board.T
         thermal = None if c.gyro_thermal is None else c.gyro_thermal.correction(temperature, c.gyro_caltemp)
         gyro = ardupilot_gyro(raw_gyro, c.gyro_offset, thermal, self.board)
-        if self._faults.stuck("accel", instance):
-            temperature = np.full_like(temperature, temperature[0])
-        return ImuReading(
-            self._faults.apply("accel", instance, accel), self._faults.apply("gyro", instance, gyro), temperature
-        )
+        return self._faults.imu(instance, accel, gyro, temperature)
 
     def raw(self, instance: int, state: MotionState) -> tuple[Array, Array]:
         """Uncorrected accelerometer and gyroscope of an instance, as the onboard calibrations take them."""

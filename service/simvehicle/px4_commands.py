@@ -73,8 +73,7 @@ class Px4Commands:
         return ACCEPTED if self._messages.set_interval(channel, round(p[0]), p[1]) else FAILED
 
     def _get_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
-        interval = self._messages.interval_us(channel, round(p[0]))
-        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(round(p[0]) & 0xFFFF, interval))
+        self._vehicle.send(channel, self._messages.interval(channel, round(p[0])))
         return ACCEPTED
 
     def _request_message(self, channel: MavlinkChannel, p: Parameters) -> int:

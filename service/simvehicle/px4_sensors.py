@@ -113,11 +113,7 @@ class Px4Sensors:
         raw_gyro = self.world.gyro(instance, state, noise_scale)
         accel = px4_accel(raw_accel, a.offset, a.scale, self._tc("A", instance, temperature), self.body_from_sensor)
         gyro = px4_gyro(raw_gyro, g.offset, self._tc("G", instance, temperature), self.body_from_sensor)
-        if self._faults.stuck("accel", instance):
-            temperature = np.full_like(temperature, temperature[0])
-        return ImuReading(
-            self._faults.apply("accel", instance, accel), self._faults.apply("gyro", instance, gyro), temperature
-        )
+        return self._faults.imu(instance, accel, gyro, temperature)
 
     def _tc(self, sensor: str, instance: int, temperature: Array) -> Array | None:
         thermal = self._thermal.get((sensor, instance))

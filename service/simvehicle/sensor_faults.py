@@ -8,6 +8,7 @@ import numpy as np
 
 from mavcal.service.simvehicle.errors import ControlError
 from mavcal.service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.world import ImuReading
 
 
 class SensorFault(StrEnum):
@@ -53,6 +54,12 @@ class SensorFaults:
     def fails(self, sensor: str, instance: int) -> bool:
         """Whether this sensor fails in any way."""
         return (sensor, instance) in self._faults
+
+    def imu(self, instance: int, accel: Array, gyro: Array, temperature: Array) -> ImuReading:
+        """Corrected readings of an inertial unit with the faults of its sensors applied."""
+        if self.stuck("accel", instance):
+            temperature = np.full_like(temperature, temperature[0])
+        return ImuReading(self.apply("accel", instance, accel), self.apply("gyro", instance, gyro), temperature)
 
     def apply(self, sensor: str, instance: int, values: Array) -> Array:
         """Corrected readings (N, 3) of a sensor with its fault applied."""

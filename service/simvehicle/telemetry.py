@@ -245,6 +245,10 @@ class Readings(abc.ABC):
 R = TypeVar("R", bound=Readings)
 
 
+def _of_block(builder: Builder) -> Callable[[Readings, int], Any]:
+    return lambda readings, i: builder(readings.block, i)
+
+
 class AutopilotMessages(abc.ABC, Generic[R]):
     """Every message of an autopilot, on its stream or one at a time.
 
@@ -254,11 +258,8 @@ class AutopilotMessages(abc.ABC, Generic[R]):
     def __init__(self, vehicle: FlightController, telemetry: Telemetry) -> None:
         self._vehicle, self._telemetry = vehicle, telemetry
         self.builders: dict[int, Callable[[R, int], Any]] = {
-            message_id: self._of_block(builder) for message_id, builder in telemetry.builders.items()
+            message_id: _of_block(builder) for message_id, builder in telemetry.builders.items()
         }
-
-    def _of_block(self, builder: Builder) -> Callable[[R, int], Any]:
-        return lambda readings, i: builder(readings.block, i)
 
     @abc.abstractmethod
     def readings(self, times: list[float]) -> R:
@@ -273,12 +274,12 @@ class AutopilotMessages(abc.ABC, Generic[R]):
             if message is not None:
                 channel.send(message)
 
-    def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
-        """Interval in MESSAGE_INTERVAL: 0 for a message that is unknown, −1 for one that is off."""
-        if message_id not in self.builders:
-            return 0
+    def interval(self, channel: MavlinkChannel, message_id: int) -> Any:
+        """MESSAGE_INTERVAL: 0 for a message that is unknown, −1 for one that is off."""
         stream = channel.streams.get(message_id)
-        return -1 if stream is None else stream.interval_us
+        known_us = -1 if stream is None else stream.interval_us
+        interval_us = known_us if message_id in self.builders else 0
+        return dialect.MAVLink_message_interval_message(message_id & 0xFFFF, interval_us)
 
     def one(self, message_id: int) -> Any:
         """One message of this instant, for REQUEST_MESSAGE; None if it cannot be sent."""
