@@ -7,7 +7,7 @@ parameters of the vehicle as a timeline, and the events of that time.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -393,16 +393,17 @@ def _concatenated_by_key(channels: Iterable[Channel]) -> tuple[Channel, ...]:
     pieces: dict[tuple[Sensor, int, str], list[Channel]] = {}
     for channel in channels:
         pieces.setdefault(channel.key, []).append(channel)
-    return tuple(_concatenated(group) for group in pieces.values())
+    return tuple(concatenated(group) for group in pieces.values())
 
 
-def _concatenated(group: list[Channel]) -> Channel:
-    if len(group) == 1:
-        return group[0]
-    zero = [c.zero_bin for c in group]
+def concatenated(parts: Sequence[Channel]) -> Channel:
+    """One channel of consecutive parts of it."""
+    if len(parts) == 1:
+        return parts[0]
+    zero = [c.zero_bin for c in parts]
     return dataclasses.replace(
-        group[0],
-        t=np.concatenate([c.t for c in group]),
-        values=np.concatenate([c.values for c in group]),
+        parts[0],
+        t=np.concatenate([c.t for c in parts]),
+        values=np.concatenate([c.values for c in parts]),
         zero_bin=np.concatenate([z for z in zero if z is not None]) if all(z is not None for z in zero) else None,
     )

@@ -13,7 +13,7 @@ from mavcal.calib.methods import METHODS
 from mavcal.calib.report import Json, from_json
 from mavcal.service.children import DIAGNOSE, FIT, Limits, Runs
 from mavcal.service.errors import UploadError
-from mavcal.service.jobs.uploads.computations import Diagnosis, ProgressCallback
+from mavcal.service.jobs.uploads import Diagnosis, ProgressCallback
 from mavcal.service.recordings import Recordings, without_path
 from mavcal.service.store.rows import JobDocument, RecordingRow
 
@@ -25,7 +25,7 @@ _IN_TIME = 0.8
 
 
 class UploadComputations:
-    """The :class:`~service.jobs.uploads.computations.Computations` on the uploads of one data directory.
+    """The :class:`~service.jobs.uploads.Computations` on the uploads of one data directory.
 
     Parameters
     ----------

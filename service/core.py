@@ -32,7 +32,7 @@ from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import WRITING, JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.uploads.computing import uploads_of
+from mavcal.service.jobs.uploads import uploads_of
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link.link import Link
 from mavcal.service.link_registry import LinkRegistry

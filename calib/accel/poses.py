@@ -107,7 +107,7 @@ def fit_poses(
     sd = np.sqrt(np.diag(weak.covariance))
     unknown = [i for i in range(6) if sd[i] > UNDETERMINED]
     names = _names(unknown)
-    movement = _movement(problem, weak)
+    movement = missing_faces(weak.directions)
     if len({i % 3 for i in unknown}) == 3:
         return made.refused(f"these {len(poses)} poses determine no axis: {movement}", names, movement)
     solution = weak if unknown else solve(problem, weak=False)
@@ -280,13 +280,13 @@ def _names(indices: Sequence[int], form: str = "symmetric") -> tuple[str, ...]:
     return tuple(names)
 
 
-def _movement(problem: NormProblem, solution: NormSolution) -> str:
-    """Instruction that names the missing faces."""
+def missing_faces(directions: Array) -> str:
+    """Instruction that names the faces that none of the felt `directions` (N, 3), unit vectors, shows."""
     missing = [
         _FACES[axis][side]
         for axis in range(3)
         for side, sign in enumerate((1.0, -1.0))
-        if (sign * solution.directions[:, axis]).max() < 0.7
+        if (sign * directions[:, axis]).max() < 0.7
     ]
     return f"hold it {' and '.join(missing)}" if missing else "hold every pose longer, and add oblique ones"
 

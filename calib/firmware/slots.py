@@ -179,6 +179,14 @@ def px4_sensor_ids(
     return found
 
 
+def still_held(
+    stated: Mapping[tuple[Sensor, int], int], parameters: Mapping[str, Value]
+) -> dict[tuple[Sensor, int], int]:
+    """Those of the `stated` device ids that a row of a PX4 with `parameters` holds."""
+    held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
+    return {key: device for key, device in stated.items() if (key[0], device) in held}
+
+
 def _check_sensor(sensor: Sensor) -> None:
     if sensor not in CALIBRATED:
         raise FirmwareError(f"an autopilot holds no calibration of {sensor}; ask for accel, gyro or mag")

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from mavcal.calib.firmware.ardupilot.learning import learning_units
+from mavcal.calib.firmware.ardupilot.doubts import learning_units
 from mavcal.calib.flight.flying import shaking_items, usable
 from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.flight.rest import ground

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.ardupilot.learning import learning_warnings
+from mavcal.calib.firmware.ardupilot.doubts import learning_warnings
 from mavcal.calib.firmware.stream.auxiliary import telemetry
 from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 

@@ -8,7 +8,7 @@ the measure of the others.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -35,7 +35,7 @@ from mavcal.calib.methods import worthwhile
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, Suggestion, gravity_of
 from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
-from mavcal.calib.recording import Array, Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Recording, Sensor, concatenated
 from mavcal.calib.stats.windows import finite_rows
 
 _PAUSE = 10.0
@@ -85,7 +85,7 @@ def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], F
     other = [(part, by) for part, by in zip(alone, off, strict=True) if by > limit]
     if not other:
         return fit(mag)
-    found = fit(_joined([part.mag for part in same])) if len(same) > 1 else measure.fit
+    found = fit(concatenated([part.mag for part in same])) if len(same) > 1 else measure.fit
     listed = ", ".join(f"{part.text} by {100.0 * by:.1f} %" for part, by in other)
     note = (
         f"only {', '.join(part.text for part in same)} was used: the field of other stretches departs from it "
@@ -116,16 +116,6 @@ def _departure(fit: FitResult, measure: Channel, part: Channel) -> float:
     length = float(np.median(np.linalg.norm(fit.model.apply(measure.values), axis=1)))
     off = np.abs(np.linalg.norm(fit.model.apply(part.values), axis=1) / length - 1.0)
     return float(np.sqrt(np.mean(np.minimum(off, np.percentile(off, 95.0)) ** 2)))
-
-
-def _joined(parts: Sequence[Channel]) -> Channel:
-    zero = [part.zero_bin for part in parts]
-    return dataclasses.replace(
-        parts[0],
-        t=np.concatenate([part.t for part in parts]),
-        values=np.concatenate([part.values for part in parts]),
-        zero_bin=np.concatenate([z for z in zero if z is not None]) if all(z is not None for z in zero) else None,
-    )
 
 
 def _mag_facts(source: Source, mag: Channel, options: Options) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.slots import px4_sensor_ids
+from mavcal.calib.firmware.slots import still_held
 from mavcal.calib.recording import Identity, Recording, Sensor
 
 SURE = 3.0
@@ -266,9 +266,7 @@ def stated_device_ids(
     history: Iterable[VerifiedCalibration], parameters: Mapping[str, Value]
 ) -> dict[tuple[Sensor, int], int]:
     """The device ids that were stated last, as far as a row of a PX4 with `parameters` holds them."""
-    held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
-    found = {key: device for entry in history for key, device in entry.stated.items()}
-    return {key: device for key, device in found.items() if (key[0], device) in held}
+    return still_held({key: device for entry in history for key, device in entry.stated.items()}, parameters)
 
 
 @dataclass(frozen=True)

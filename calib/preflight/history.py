@@ -12,7 +12,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names, sensor_ids
-from mavcal.calib.firmware.ardupilot.learning import learning_warnings
+from mavcal.calib.firmware.ardupilot.doubts import learning_warnings
 from mavcal.calib.firmware.names import LEVEL, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.accel.poses import check_assumed, residual_in
+from mavcal.calib.accel.poses import check_assumed, missing_faces, residual_in
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.recording import Array, Channel
@@ -38,7 +38,6 @@ from mavcal.calib.thermal.accel_solve import (
     WarmProblem,
     WarmSolution,
     confounding,
-    movement,
     scale_drift,
     solve_poses,
     within_information,
@@ -197,7 +196,7 @@ def _result(
         n_used=sum(w.pose.n for w in solved.warm),
         residual_rms=residual_in(made.unit, model, solution.lengths, gravity),
         condition_number=scale_of,
-        undetermined=_open(unknown, degree, movement(solved.weak)),
+        undetermined=_open(unknown, degree, missing_faces(solved.weak.directions)),
         partial=any(i < 6 or i >= 9 for i in unknown),
         warnings=_warnings(solved, p_value, confounded),
         quality={

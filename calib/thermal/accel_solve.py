@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavcal.calib.accel.poses import missing_faces
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.correlated import long_run_variance
@@ -141,7 +142,7 @@ def solve_poses(
     limit = np.where(np.arange(len(sd)) < 9, UNDETERMINED, _NO_DRIFT)
     unknown = tuple(i for i in range(len(sd)) if sd[i] > limit[i] and not 6 <= i < 9)
     if all(i in unknown for i in range(3)):
-        return f"{len(warm)} poses determine no axis: {movement(weak)}"
+        return f"{len(warm)} poses determine no axis: {missing_faces(weak.directions)}"
     crosses = _unlearnt(sd, cross_sd)
     solution = _solve(problem, weak=bool(unknown), held=crosses)
     if solution is None:
@@ -262,15 +263,3 @@ def scale_drift(problem: WarmProblem, solution: WarmSolution) -> tuple[Array, Ar
     information = extra.T @ extra - cross @ solution.covariance @ cross.T
     covariance = np.asarray(np.linalg.inv(information + np.eye(3)))  # a prior of one keeps what no pose tells finite
     return -covariance @ extra.T @ r, covariance
-
-
-def movement(solution: WarmSolution) -> str:
-    """Instruction that names the missing faces."""
-    faces = (("nose up", "nose down"), ("on its left side", "on its right side"), ("on its back", "level"))
-    missing = [
-        faces[axis][side]
-        for axis in range(3)
-        for side, sign in enumerate((1.0, -1.0))
-        if (sign * solution.directions[:, axis]).max() < 0.7
-    ]
-    return f"hold it {' and '.join(missing)}" if missing else "hold every pose longer, and add oblique ones"

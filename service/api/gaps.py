@@ -13,7 +13,7 @@ from mavcal.service.core import Service
 from mavcal.service.errors import GapUnfinished, GapUnknown, JobUnknown
 from mavcal.service.jobs.core.model import Failure, Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.uploads.computing import GAP
+from mavcal.service.jobs.uploads import GAP
 
 router = APIRouter(tags=["gaps"])
 

@@ -27,7 +27,7 @@ from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.ports import Alone
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.tasks import JobTasks
-from mavcal.service.jobs.uploads.computing import MOST_STARTS
+from mavcal.service.jobs.uploads import MOST_STARTS
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument
 

@@ -18,7 +18,7 @@ from mavcal.service.jobs.calibrate.planning import checked_plan_options, confirm
 from mavcal.service.jobs.core.admission import require_finite
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.uploads.computations import Computations
+from mavcal.service.jobs.uploads import Computations
 from mavcal.service.store.rows import RecordingRow
 from mavcal.service.vehicle.job_vehicle import VehicleSource
 

@@ -28,7 +28,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import Failure, Job, Result
 from mavcal.service.jobs.core.states import ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks
-from mavcal.service.jobs.uploads.computing import NOTHING_WRITTEN
+from mavcal.service.jobs.uploads import NOTHING_WRITTEN
 from mavcal.service.store.sql import Store
 
 log = structlog.get_logger(__name__)

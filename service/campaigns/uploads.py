@@ -13,8 +13,7 @@ from mavcal.service.campaigns.campaigns import ItemTurn
 from mavcal.service.campaigns.items import ItemEnd, of_diagnosis, of_fits
 from mavcal.service.computations import REPORT
 from mavcal.service.errors import ChildrenBusy
-from mavcal.service.jobs.uploads.computations import Computations
-from mavcal.service.jobs.uploads.computing import MOST_STARTS
+from mavcal.service.jobs.uploads import MOST_STARTS, Computations
 
 T = TypeVar("T")
 

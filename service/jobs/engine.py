@@ -30,8 +30,7 @@ from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.core.tasks import JobTasks, Work
 from mavcal.service.jobs.rates import STARTING, JobRates, with_present_vehicles
-from mavcal.service.jobs.uploads.computations import Computations, NoUploads
-from mavcal.service.jobs.uploads.computing import COMPUTED, FIT, GAP, Computing
+from mavcal.service.jobs.uploads import COMPUTED, FIT, GAP, Computations, Computing, NoUploads
 from mavcal.service.jobs.write.accept import Acceptance, request_digest, require_acceptable
 from mavcal.service.jobs.write.outcome import INTERRUPTED, settle_lost_write
 from mavcal.service.jobs.write.readiness import keep_readiness

@@ -9,7 +9,7 @@ from urllib.parse import urljoin
 
 import pytest
 
-from mavcal.service.jobs.uploads.computing import MOST_DIAGNOSES
+from mavcal.service.jobs.uploads import MOST_DIAGNOSES
 from mavcal.service.settings import LimitSettings
 from tests.patience import scaled
 from tests.service.gap_tables import write_table

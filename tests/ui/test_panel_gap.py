@@ -13,7 +13,7 @@ from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.jobs.core.codec import row_from_job
 from mavcal.service.jobs.core.model import Job, Result
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.uploads.computing import GAP
+from mavcal.service.jobs.uploads import GAP
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobDocument
 from tests.unit.gap_report.flown import drag_flight, weak_motor, windy_null

@@ -17,7 +17,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import names
-from mavcal.calib.firmware.faults import absurd_motor_gain
+from mavcal.calib.firmware.ardupilot.doubts import absurd_motor_gain
 from mavcal.calib.firmware.names import ARDUPILOT_PREFIXES as CALIBRATION_PREFIXES
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.rotations import euler_matrix, rotation_matrix

@@ -21,7 +21,7 @@ import numpy as np
 
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.ardupilot.learning import LEARNING, learning_warnings
+from mavcal.calib.firmware.ardupilot.doubts import LEARNING, learning_warnings
 from mavcal.calib.firmware.ardupilot.parameters import T_REF, THERMAL_SCALE
 from mavcal.calib.firmware.compose.announce import (
     lose_accel,

@@ -24,9 +24,8 @@ from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose import ardupilot as compose_ardupilot
 from mavcal.calib.firmware.compose import px4 as compose_px4
 from mavcal.calib.firmware.compose.ardupilot_mag import compose_compasses
-from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.draft import INTEGERS, Draft, Rank, Subject
-from mavcal.calib.firmware.compose.fitted import InForce, Pair, pair_fits, usable_fits
+from mavcal.calib.firmware.compose.fitted import InForce, Pair, contents, pair_fits, usable_fits
 from mavcal.calib.firmware.compose.mag_motor import compose_motors
 from mavcal.calib.firmware.compose.px4_mag import compose_magnetometers
 from mavcal.calib.firmware.compose.px4_memory import placed

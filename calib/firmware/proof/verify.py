@@ -15,9 +15,8 @@ from typing import Final
 import numpy as np
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.draft import Subject
-from mavcal.calib.firmware.compose.fitted import pair_fits
+from mavcal.calib.firmware.compose.fitted import contents, pair_fits
 from mavcal.calib.firmware.plan import Change, Movement, ParameterVerdict, ProofVerdict, Value, Verification, WritePlan
 from mavcal.calib.firmware.proof.check import (
     ALL_APPLIED,

@@ -17,9 +17,9 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError, UnreadableError
 from mavcal.calib.firmware import names
+from mavcal.calib.firmware.ardupilot.doubts import parameter_faults
 from mavcal.calib.firmware.ardupilot.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
 from mavcal.calib.firmware.ardupilot.outputs import kind_of_vehicle
-from mavcal.calib.firmware.faults import parameter_faults
 from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS
 from mavcal.calib.firmware.slots import ardupilot_calibration_names
 from mavcal.calib.logs.dataflash.channels import SensorChannels, instances

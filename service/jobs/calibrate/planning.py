@@ -13,7 +13,7 @@ from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fin
 from mavcal.calib.firmware.in_force.origin import Origin, differences
 from mavcal.calib.firmware.options import CONFIRMATIONS, Key, compose_options, key_text, parse_key, unknown_keys
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
-from mavcal.calib.firmware.slots import CALIBRATED, px4_sensor_ids
+from mavcal.calib.firmware.slots import CALIBRATED, still_held
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.recording import Identity, Sensor
@@ -124,8 +124,7 @@ def held_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[st
     written = [job for job in jobs if job.vehicle_id == vehicle_id and job.state == JobState.SUCCEEDED]
     for job in sorted(written, key=lambda job: job.updated_at):
         found |= stated_device_ids(job)
-    held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
-    return {key: device for key, device in found.items() if (key[0], device) in held}
+    return still_held(found, parameters)
 
 
 def stated_device_ids(job: Job) -> dict[Key, int]:

@@ -33,7 +33,7 @@ from mavcal.service.jobs.core.handle import JobHandle
 from mavcal.service.jobs.core.model import RESTORE, Failure, Job, Result, fit_messages
 from mavcal.service.jobs.core.parameters import read_needed, sensors_of
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.uploads.computations import Computations
+from mavcal.service.jobs.uploads import Computations
 from mavcal.service.preflights import History
 from mavcal.service.vehicle.job_vehicle import JobVehicle, read_values
 

@@ -22,7 +22,7 @@ from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.errors import ChildEnded, ChildrenBusy, JobUnknown
 from mavcal.service.jobs.core.model import Job
 from mavcal.service.jobs.core.states import JobState
-from mavcal.service.jobs.uploads.computations import Diagnosis
+from mavcal.service.jobs.uploads import Diagnosis
 from mavcal.service.store.rows import JobDocument
 from tests.unit.api import samples
 

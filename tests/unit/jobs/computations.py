@@ -11,7 +11,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
 from mavcal.service.errors import RecordingUnknown
-from mavcal.service.jobs.uploads.computations import Diagnosis, ProgressCallback
+from mavcal.service.jobs.uploads import Diagnosis, ProgressCallback
 from mavcal.service.store.rows import JobDocument
 
 FOREIGN = Origin("px4", "other", (), {})

@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
-from mavcal.calib.firmware.compose.content import contents
+from mavcal.calib.firmware.compose.fitted import contents
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.compose.trim import force_when_level, trim_from_force
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, WritePlan

@@ -21,6 +21,7 @@ from mavcal.service.errors import (
     NoVehicle,
     RecordingUnknown,
 )
+from mavcal.service.jobs import uploads
 from mavcal.service.jobs.core.admission import require_vehicle
 from mavcal.service.jobs.core.codec import job_from_row
 from mavcal.service.jobs.core.model import Failure, Job, Result
@@ -28,8 +29,7 @@ from mavcal.service.jobs.core.proof import ProofLevel
 from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.uploads import computing
-from mavcal.service.jobs.uploads.computing import FIT, GAP, MOST_DIAGNOSES, MOST_STARTS, uploads_of
+from mavcal.service.jobs.uploads import FIT, GAP, MOST_DIAGNOSES, MOST_STARTS, uploads_of
 from mavcal.service.progress_line import ProgressLine, format_line
 from tests.unit.jobs.computations import DIAGNOSED, FakeComputations
 from tests.unit.jobs.conftest import OLD, until
@@ -202,7 +202,7 @@ async def test_too_many_diagnoses_are_refused(vehicle: FakeVehicle) -> None:
 async def test_fits_wait_for_their_turn_and_too_many_are_refused(
     vehicle: FakeVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(computing, "MOST_FITS", FITS_AT_ONCE + 2)
+    monkeypatch.setattr(uploads, "MOST_FITS", FITS_AT_ONCE + 2)
     work = held()
     async with running(vehicle, computations=work) as engine:
         jobs = [await engine.computing.fit("a", "gyro-rest", {}) for _ in range(FITS_AT_ONCE + 2)]
@@ -253,7 +253,7 @@ async def test_what_has_ended_is_not_begun_again(vehicle: FakeVehicle, state: Jo
 async def test_the_oldest_fits_are_forgotten_and_nothing_else(
     vehicle: FakeVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(computing, "MOST_FITS_KEPT", 2)
+    monkeypatch.setattr(uploads, "MOST_FITS_KEPT", 2)
     async with running(vehicle, computations=FakeComputations()) as engine:
         diagnosis = await engine.computing.diagnose("a", None, ())
         await until(lambda: engine.get(diagnosis.id).state == JobState.SUCCEEDED)

@@ -1,1 +1,0 @@
-"""Fits and diagnoses of uploaded recordings, as jobs without a vehicle."""
