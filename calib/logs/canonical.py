@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Array, Channel, Sensor
+from mavcal.calib.recording import Array, Sensor
 
 UNITS: Mapping[Sensor, Mapping[str, float]] = {
     Sensor.ACCEL: {"si": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "counts": 1.0},
@@ -59,17 +59,20 @@ _REFERENCE_STEMS = {Sensor.ATTITUDE: "q", Sensor.PLACE: "pos", Sensor.VELOCITY: 
 FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 
 
-def column_names(channel: Channel) -> tuple[str, ...]:
-    """Names of the columns of `channel`."""
-    number = "" if channel.instance == 0 else str(channel.instance + 1)
-    if channel.sensor in TRIADS:
-        return tuple(f"{channel.sensor}{number}_{axis}" for axis in "xyz")
-    if channel.sensor in SINGLE:
-        return (f"{channel.sensor}{number}",)
-    if channel.sensor == Sensor.ATTITUDE:
+def column_names(sensor: Sensor, number: str, width: int) -> tuple[str, ...]:
+    """Names of the `width` columns of a sensor; `number` stands behind the names of the second instance and on."""
+    if sensor in TRIADS:
+        return tuple(f"{sensor}{number}_{axis}" for axis in "xyz")
+    if sensor in SINGLE:
+        return (f"{sensor}{number}",)
+    if sensor == Sensor.ATTITUDE:
         return tuple(f"q_{part}" for part in "wxyz")
-    prefix = "motor" if channel.sensor == Sensor.MOTOR else "rotor_hz"
-    return tuple(f"{prefix}_{k + 1}" for k in range(channel.values.shape[1]))
+    return tuple(f"{numbered_prefix(sensor)}{k + 1}" for k in range(width))
+
+
+def numbered_prefix(sensor: Sensor) -> str:
+    """How the columns of the motors begin, before their numbers."""
+    return "motor_" if sensor == Sensor.MOTOR else "rotor_hz_"
 
 
 def reference_names(sensor: Sensor) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from mavcal.calib.logs.canonical import (
     column_names,
     group_names,
     ned_from_frd,
+    numbered_prefix,
     reference_names,
     reference_sensor,
 )
@@ -185,7 +186,7 @@ def write_table(recording: Recording, path: Path | str) -> None:
     ]
     if not channels:
         raise InvalidInputError("the recording has no samples that a table can hold")
-    named = [(column_names(channel), channel) for channel in channels]
+    named = [(_written_names(channel), channel) for channel in channels]
     named += [(reference_names(c.sensor), c) for c in recording.reference if len(c) and reference_names(c.sensor)]
     t = np.unique(np.concatenate([channel.t for _, channel in named]))
     columns = {"t": t}
@@ -204,6 +205,11 @@ def write_table(recording: Recording, path: Path | str) -> None:
         _write_csv(target, columns, labels if recording.segments else None)
     else:
         raise InvalidInputError(f"a table ends in .csv or .npz, not {target.suffix or 'nothing'}")
+
+
+def _written_names(channel: Channel) -> tuple[str, ...]:
+    number = "" if channel.instance == 0 else str(channel.instance + 1)
+    return column_names(channel.sensor, number, channel.values.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,15 +405,11 @@ def _channel(
     unit = units.get(sensor, "si")
     values = values * UNITS.get(sensor, {}).get(unit, 1.0)
     counts = unit == "counts" and bool((values == np.round(values)).all())
-    if sensor in TRIADS and body == "flu":
-        values = values * FRD_FROM_FLU
-    if sensor == Sensor.ATTITUDE:
-        values = ned_from_frd(values, body=body, world=world)
     return Channel(
         sensor=sensor,
         instance=instance,
         t=t,
-        values=values,
+        values=_in_contract_frames(sensor, values, body, world),
         unit="counts" if unit == "counts" else SI[sensor],
         stage=Stage.RAW,
         source="table",
@@ -433,26 +435,21 @@ def _reference(table: _Table, sensor: Sensor, t: Array, body: str, world: str) -
     values, t = _samples(table, reference_names(sensor), t)
     if not len(values):
         return None
-    if sensor in TRIADS and body == "flu":
-        values = values * FRD_FROM_FLU
-    if sensor == Sensor.ATTITUDE:
-        values = ned_from_frd(values, body=body, world=world)
+    values = _in_contract_frames(sensor, values, body, world)
     return Channel(sensor, 0, t, values, REFERENCE_SI[sensor], Stage.RAW, "table")
 
 
+def _in_contract_frames(sensor: Sensor, values: Array, body: str, world: str) -> Array:
+    if sensor in TRIADS and body == "flu":
+        return values * FRD_FROM_FLU
+    return ned_from_frd(values, body=body, world=world) if sensor == Sensor.ATTITUDE else values
+
+
 def _names_of(table: _Table, sensor: Sensor, instance: int) -> tuple[str, ...]:
-    number = (
-        "" if instance == 0 and f"{sensor}1_x" not in table.cells and f"{sensor}1" not in table.cells else instance + 1
-    )
-    if sensor in TRIADS:
-        return tuple(f"{sensor}{number}_{axis}" for axis in "xyz")
-    if sensor in SINGLE:
-        return (f"{sensor}{number}",)
-    if sensor == Sensor.ATTITUDE:
-        return tuple(f"q_{part}" for part in "wxyz")
-    prefix = "motor" if sensor == Sensor.MOTOR else "rotor_hz"
-    count = max(int(name.rpartition("_")[2]) for name in table.cells if name.startswith(f"{prefix}_"))
-    return tuple(f"{prefix}_{k + 1}" for k in range(count))
+    numbered = instance > 0 or f"{sensor}1_x" in table.cells or f"{sensor}1" in table.cells
+    prefix = numbered_prefix(sensor)
+    numbers = (int(name.removeprefix(prefix)) for name in table.cells if name.startswith(prefix))
+    return column_names(sensor, str(instance + 1) if numbered else "", max(numbers, default=0))
 
 
 def _segments(table: _Table, t: Array) -> tuple[Segment, ...]:
