@@ -24,7 +24,7 @@ UNCACHED = {"Cache-Control": "no-cache"}
 
 
 def panel_folder() -> Path:
-    """Where the panel's files are: beside the package when installed, in ``web/`` in a clone."""
+    """Folder of the panel's files: beside the package when installed, ``web/`` in a clone."""
     here = Path(__file__).resolve().parent
     installed = here / "_web"
     return installed if installed.is_dir() else here.parent / "web"

@@ -26,7 +26,7 @@ WAIT_S = 120.0
 """How long a calibration at rest, or its write, may take."""
 _LOOK_S = 0.1
 LEFT = ENDED | {JobState.REVIEW, JobState.IN_DOUBT, JobState.WAITING_FOR_REBOOT}
-"""States from which a job does not go on without somebody."""
+"""States in which a job has ended or waits for a person."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Late:
 
     @property
     def text(self) -> str:
-        """What stays as it is, as a sentence; empty if nothing does."""
+        """A sentence on the sensors that were not calibrated; empty if all were."""
         if not self.keys:
             return ""
         stays = "stays as it is: its" if len(self.keys) == 1 else "stay as they are: their"
@@ -119,7 +119,7 @@ async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, Late]:
 
 
 async def wait_for_job(engine: JobEngine, job_id: str) -> Job:
-    """The job, once nothing goes on with it by itself. Raises TimeoutError after :data:`WAIT_S`."""
+    """The job, once it has ended or waits for a person. Raises TimeoutError after :data:`WAIT_S`."""
     async with asyncio.timeout(WAIT_S):
         while engine.get(job_id).state not in LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
             await asyncio.sleep(_LOOK_S)

@@ -115,7 +115,7 @@ class SimulatedHands:
         await asyncio.to_thread(self._followed, link, prompt)
 
     def _is_left(self, link: Link, job: Job | None) -> bool:
-        """Whether nobody needs the vehicle as it is: its job has ended, or is in review and it turns still."""
+        """Whether the vehicle is to be brought to rest: its job has ended, or is in review while it still turns."""
         if link.id not in self._operators:
             return False
         _, _, operator = self._operators[link.id]

@@ -58,7 +58,7 @@ async def hosted(settings: Settings, actor: str, endpoints: Iterable[str] = ()) 
 
 
 def _loaded() -> Callable[[Settings, Service], AbstractAsyncContextManager[str]]:
-    """What answers requests: a third of a start is spent on loading it."""
+    """The function that answers requests; loading it takes a third of a start."""
     with loading():
         from mavcal.service.answering import answering
 

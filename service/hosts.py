@@ -18,7 +18,7 @@ COMPASS_WIDGET = "?cockpit_mode=1#/widget"
 
 
 def registration() -> dict[str, Any]:
-    """What BlueOS asks for when it has found an open port."""
+    """Description of the service for BlueOS, which asks every open port for it."""
     return {
         "name": NAME,
         "description": DESCRIPTION,

@@ -190,7 +190,7 @@ class LinkRegistry:
 
 
 def _stream(link_id: str, key: str) -> str:
-    """Under what the newest time stamp of a link is kept: a stamp belongs to a key."""
+    """Name under which the newest time stamp of a link is kept: one for each key."""
     return link_id if key == DEFAULT else f"{link_id}?{SIGNING}={key}"
 
 
@@ -210,7 +210,7 @@ def _parsed(url: str) -> Endpoint:
 
 
 _PLAIN = re.compile(r"file:[A-Za-z0-9.-]+|(?!file:)[a-z]+:[A-Za-z0-9.-]+:\d+|(?!file:)[a-z]+:[A-Za-z0-9.]+")
-"""Endpoints in which every colon can be told from a dash once it has become one."""
+"""Endpoints in which a dash can only have been a colon."""
 
 
 def _slug(endpoint: str) -> str:

@@ -47,7 +47,7 @@ class LiveBatch:
 
 
 async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
-    """What the vehicle streams, as it comes, until the reader stops; a batch of nothing while nothing comes.
+    """Batches of the vehicle's stream until the reader stops; an empty batch while nothing comes.
 
     Raises
     ------
@@ -83,7 +83,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
 def _digested(
     heard: Sequence[Frame], assembler: Assembler, sources: OneSource, tilt: TiltFilter
 ) -> tuple[Recording, tuple[Channel, ...]]:
-    """What the frames carry, and of it one channel a sensor, which the filter has seen."""
+    """The channels in the frames, one a sensor; the tilt filter is fed with them."""
     chunk = assembler.feed([(None, frame) for frame in heard])
     streamed = sources.take(chunk.channels)
     _incline(tilt, streamed)
@@ -121,7 +121,7 @@ class OneSource:
         """Message and batches since it has come."""
 
     def take(self, channels: Sequence[Channel]) -> tuple[Channel, ...]:
-        """Those channels of a batch that are shown."""
+        """The channels of a batch to show."""
         found: dict[tuple[Sensor, int], list[Channel]] = {}
         for channel in channels:
             if channel.sensor in SHOWN and len(channel):

@@ -91,7 +91,7 @@ ANSWER_S = 1.5
 
 
 RESTORE_S = 1.0
-"""So long the putting back may take before the verdict is given; it goes on by itself."""
+"""Longest wait for the old rates before the verdict is given, s; putting them back goes on afterwards."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Preflights:
         """Those that give way."""
 
     def require_idle(self, vehicle_id: str) -> None:
-        """Raise PreflightRunning while somebody has this vehicle looked at; a look that nobody asked for gives way."""
+        """Raise PreflightRunning while a preflight of this vehicle runs; a look without a request is ended instead."""
         look = self._looks.pop(vehicle_id, None)
         if look is not None:
             self._end(vehicle_id, look)
@@ -213,7 +213,7 @@ class Preflights:
         return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes), readings=readings)
 
     async def look(self, vehicle: JobVehicle, history: History) -> Preflight | None:
-        """As :meth:`run`, of a vehicle that nobody claims; None: somebody did meanwhile, and goes first."""
+        """As :meth:`run` for an unclaimed vehicle; None: it was claimed meanwhile, and the look ended."""
         look = asyncio.create_task(self.run(vehicle, history), name=f"look at {vehicle.id}")
         self._looks[vehicle.id] = look
         try:
@@ -309,7 +309,7 @@ class Preflights:
             await asyncio.wait({task}, timeout=RESTORE_S)
 
     def _end(self, vehicle_id: str, look: asyncio.Task[Preflight]) -> None:
-        """End a look for somebody who goes first; it returns the rates that it has changed."""
+        """End a look that gives way; it returns the rates that it has changed."""
         look.cancel()
         self._ledgers.of(vehicle_id).begin_return(RateUser.PREFLIGHT, look)
 

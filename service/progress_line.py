@@ -26,7 +26,7 @@ def format_line(progress: ProgressLine) -> str:
 
 
 def parse_line(line: str) -> ProgressLine:
-    """What a line says; any other text stands for itself."""
+    """The progress in a line; any other text becomes the step's name."""
     found = _NUMBERS.match(line)
     if found is None:
         return ProgressLine(line)

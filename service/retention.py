@@ -95,7 +95,7 @@ class Retention:
 
 
 def due(items: Iterable[Removable], now: float, settings: RetentionSettings) -> list[Removable]:
-    """What is too old, and the oldest of the rest as long as all together is too large; telemetry logs first."""
+    """Recordings to delete: those too old, then the oldest while the total is too large; telemetry logs first."""
     oldest_first = sorted(items, key=lambda item: item.at)
     logs = [item for item in oldest_first if item.upload is None]
     going = _beyond(logs, now, settings.tlogs_days, settings.tlogs_bytes)

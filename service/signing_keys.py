@@ -153,5 +153,5 @@ class SigningKeys:
 
 
 def fingerprint(digits: str) -> str:
-    """What tells keys apart without telling them: the first 12 digits of the SHA-256 of the key's bytes."""
+    """Fingerprint of a key: the first 12 digits of the SHA-256 of its bytes."""
     return hashlib.sha256(bytes.fromhex(digits)).hexdigest()[:12]

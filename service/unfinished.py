@@ -50,7 +50,7 @@ def unfinished(store: Store, job: Job) -> Unfinished:
 
 
 def left_over(store: Store, jobs: Iterable[Job]) -> tuple[Unfinished, ...]:
-    """Those of `jobs` that still claim their vehicle, oldest first."""
+    """The jobs that still claim their vehicle, oldest first."""
     return tuple(unfinished(store, job) for job in jobs if job.state in PHYSICAL)
 
 

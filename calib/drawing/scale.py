@@ -16,7 +16,7 @@ _MOST_POINTS = 600
 
 
 def shares(values: ArrayLike, limits: tuple[float, float], *, log: bool) -> Array:
-    """Where values lie between `limits`, 0..1; at the foot of a logarithmic axis what is not positive."""
+    """Places of values between `limits`, 0..1; values that are not positive lie at the foot of a logarithmic axis."""
     found = np.asarray(values, dtype=np.float64)
     low, high = limits
     if log:

@@ -98,7 +98,7 @@ class SpaceView:
         return self.middle + self.half * ends
 
     def _edge(self, axis: int, share: float) -> tuple[float, float]:
-        """Where the number at `share` of an axis stands."""
+        """Place of the number at `share` of an axis."""
         place = _CORNERS[axis].astype(np.float64)
         place[axis] = share
         (x,), (y,) = self._at((self.middle + self.half * place)[None, :])

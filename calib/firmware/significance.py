@@ -35,7 +35,7 @@ def level_agreement(change: Array, sd: Array) -> Agreement | None:
 
 
 def agreed(sensor: Sensor, instance: int, name: str, judged: Sequence[Judged | None]) -> Agreement | None:
-    """That `name` agrees with what is in force; None: something of it does not, or cannot be judged (None)."""
+    """The agreement of `name` with what is in force; None: a part of it differs, or cannot be judged (None)."""
     deviation = within(judged)
     if deviation is None:
         return None

@@ -182,7 +182,7 @@ def px4_sensor_ids(
 def still_held(
     stated: Mapping[tuple[Sensor, int], int], parameters: Mapping[str, Value]
 ) -> dict[tuple[Sensor, int], int]:
-    """Those of the `stated` device ids that a row of a PX4 with `parameters` holds."""
+    """The `stated` device ids that a row of a PX4 with `parameters` holds."""
     held = {(sensor, device) for (sensor, _), device in px4_sensor_ids(parameters).items()}
     return {key: device for key, device in stated.items() if (key[0], device) in held}
 

@@ -63,7 +63,7 @@ def phrase(effect: EffectEstimate) -> str:
 
 
 def labels(effect_id: str) -> Mapping[str, tuple[str, str]]:
-    """By parameter its label, and the unit of its two sides, empty where only their ratio means anything."""
+    """Label of each parameter, and the unit of its two sides: empty where only their ratio means anything."""
     return _KINDS[effect_id].sides if effect_id in _KINDS else {}
 
 
@@ -240,7 +240,7 @@ def _size(p: ParameterEstimate) -> str:
 
 
 def _sides(*rows: tuple[str, str, str]) -> Mapping[str, tuple[str, str]]:
-    """By parameter its label and the unit of its two sides."""
+    """Label and unit of the two sides of each parameter."""
     return {name: (label, unit) for name, label, unit in rows}
 
 

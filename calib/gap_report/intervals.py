@@ -1,4 +1,4 @@
-"""Numbers as a report says them beside their 95 % intervals: ratios, differences, no digit that nobody knows."""
+"""Numbers with their 95 % intervals in words: ratios and differences, with as many digits as are known."""
 
 from __future__ import annotations
 

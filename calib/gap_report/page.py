@@ -52,7 +52,7 @@ def gap_to_html(report: GapReport, *, title: str = "Sim-to-real gap") -> str:
 
 @dataclass(frozen=True)
 class _Pictures:
-    """What is drawn; empty where the report has nothing to draw it of."""
+    """The pictures of a page; empty where the report has no data for one."""
 
     waterfall: Markup
     where: Markup
@@ -96,7 +96,7 @@ def _shapes(report: GapReport) -> Iterable[Markup]:
 
 
 def _facts(report: GapReport) -> Sequence[tuple[str, str]]:
-    """What was compared, by name."""
+    """Facts on the comparison, by name."""
     inputs, tests = report.inputs, report.multiple_testing
     flown = report.airframe
     of_flight = () if flown is None else tuple((n.replace("_", " "), words.number(v)) for n, v in flown.facts.items())

@@ -176,7 +176,7 @@ def allan(values: Array, fs: float) -> tuple[Array, Array]:
 
 
 def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> list[Markup]:
-    """By sensor: residual over time in units of its noise before and after, and below it the conditions."""
+    """A plot a sensor: residual over time in units of its noise before and after, and the conditions below it."""
     drawn = []
     for fit in series:
         if len(fit.t) < _LEAST:

@@ -63,13 +63,13 @@ def vehicle_plot(part: AirframePart, effects: Sequence[EffectEstimate]) -> Marku
 
 
 def weak_motors(effects: Sequence[EffectEstimate]) -> Mapping[int, float]:
-    """By motor, from 1, the ratio of its thrust, real by simulated."""
+    """Thrust of each weak motor, real over simulated, by motor number from 1."""
     found = [e for e in effects if e.id == "motor_weak"]
     return {n: ratio_of(p)[0] for e in found for p in e.params if p.name == "s" for n in e.instances}
 
 
 def centre_of_gravity(effects: Sequence[EffectEstimate]) -> tuple[float, float] | None:
-    """How far it lies forward and right of the simulated one, in arms; None: it does not."""
+    """Shift of the centre of gravity forward and right of the simulated one, in arms; None: there is none."""
     found = next((e for e in effects if e.id == "cg_offset"), None)
     if found is None:
         return None
@@ -78,7 +78,7 @@ def centre_of_gravity(effects: Sequence[EffectEstimate]) -> tuple[float, float] 
 
 
 def on_picture(forward: float, right: float) -> tuple[float, float]:
-    """Where a place of the vehicle, in arms, is drawn: the nose is up."""
+    """Pixels of a place of the vehicle, given in arms; the nose is up."""
     return _CENTRE[0] + _ARM * right, _CENTRE[1] - _ARM * forward
 
 

@@ -1,4 +1,4 @@
-"""What a gap report says, in sentences for somebody who does not know the method."""
+"""Sentences of a gap report for readers who do not know the method."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def with_error(value: float, se: float | None, unit: str) -> str:
 
 
 def chance(probability: float) -> str:
-    """A probability in whole percent: no digits that nobody knows."""
+    """A probability in whole percent."""
     if probability > 0.995:
         return "over 99 %"
     return "under 1 %" if probability < 0.005 else f"{100.0 * probability:.0f} %"

@@ -27,7 +27,7 @@ _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter,
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
 _LEAST: Final = 50
-"""Samples that a steadiness is told from."""
+"""Fewest samples of a statement on steadiness."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
 _RELATED: Final = 0.5

@@ -21,7 +21,7 @@ from mavcal.calib.stats.windows import finite_rows
 
 SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 _LEAST: Final = 50
-"""Samples that a constant is told from."""
+"""Fewest samples of a statement that a sensor is constant."""
 _ZEROS: Final = 0.1
 """Share of samples at 0, 0, 0 that is no start-up."""
 _FLOWN_S: Final = 10.0
@@ -46,7 +46,7 @@ def living(recording: Recording, dead: Collection[Key]) -> Recording:
 
 
 def never_lived(found: tuple[HealthFinding, ...]) -> dict[Key, HealthFinding]:
-    """The sensors of `found` that never told anything, by sensor and instance."""
+    """The sensors of `found` without a single reading that means anything, by sensor and instance."""
     return {(one.sensor, one.instance): one for one in found if one.check in ("dead", "unhealthy", "silent")}
 
 

@@ -30,7 +30,7 @@ _ENOUGH_HZ: Final = 100.0
 _LEAST_OF_WINDOW: Final = 6.0
 """Samples of a window in which stillness is judged."""
 _SLOWEST_WINDOW_S: Final = 5.0
-"""What moves within so long a window is not told from stillness."""
+"""Longest window in which stillness is judged: it hides a faster movement."""
 _MOSTLY: Final = 0.5
 """Share of the samples: a vehicle motionless for so much of a log lay on the ground and needs no attitude."""
 _SPAN_S: Final = 5.0

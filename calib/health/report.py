@@ -49,7 +49,7 @@ class HealthReport:
     shaking: tuple[JudgedItem, ...] = ()
     """Vibration and clipping as the sanity of a flight has them as well."""
     silent: frozenset[Key] = frozenset()
-    """Sensors that never told anything, by sensor and instance."""
+    """Sensors without a single reading that means anything, by sensor and instance."""
 
     @property
     def verdict(self) -> HealthVerdict:

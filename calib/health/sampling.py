@@ -29,8 +29,8 @@ _SELECTED: Final = "sensor_combined"
 """Sources that hold a sensor for some of the time by design: batches, and whichever unit is selected."""
 _TURN: Final = float(np.radians(30.0))
 """A compass that repeats one value through such a turn is stuck: a gyroscope 5 deg/s off turns less in five seconds."""
-_TIMES_SLOWER: Final = 2.0
-"""Another sensor tells of a gap that is so many times longer than its own period."""
+_MARGIN_PERIODS: Final = 2.0
+"""Margin at both ends of a gap in periods of the slower sensor: two sensors need not stop at the same sample."""
 _SLOW_HZ: Final = 20.0
 ON_BOARD: Final = "Take the log on board: no telemetry carries every sample."
 _BATCH_SWITCH: Final = "INS_LOG_BAT_MASK 1"
@@ -101,7 +101,7 @@ def _paused(gap: Gap, paused: Sequence[Gap]) -> bool:
 def _went_on(gap: Gap, one: Sampled, every: Sequence[Sampled]) -> bool:
     """Whether another sensor than `one` was sampled in the middle of the gap."""
     for other in every:
-        margin = _TIMES_SLOWER * max(other.period, one.period)  # they need not stop with the same sample
+        margin = _MARGIN_PERIODS * max(other.period, one.period)
         first, last = np.searchsorted(other.channel.t, (gap.start + margin, gap.start + gap.length - margin))
         if gap.length > 2.0 * margin and last > first:
             return True
@@ -109,7 +109,7 @@ def _went_on(gap: Gap, one: Sampled, every: Sequence[Sampled]) -> bool:
 
 
 def _left_out(recording: Recording, channel: Channel) -> tuple[Gap, ...]:
-    """Where samples of the sensor are there and were left out: that is said as such, and is no silence."""
+    """Spans in which the reader left out samples of the sensor; they do not count as silence."""
     of = channel.sensor, channel.instance
     odd = [(e.t, e.odd) for e in recording.events if e.odd is not None and (e.odd.sensor, e.odd.instance) == of]
     return tuple(Gap(t - 1.0, max((found.until or t) - t, 0.0) + 2.0) for t, found in odd)

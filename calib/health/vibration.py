@@ -42,7 +42,7 @@ _CLIPS: Final = 0.005
 _HELD_S: Final = 5.0
 """A level counts as vibration where it was reached for so long in all; shorter ones are blows."""
 _LEAST: Final = 5
-"""Levels that a vibration is told from."""
+"""Fewest logged levels of a statement on vibration."""
 _BLOW_S: Final = 5.0
 """Clips that lie within so many seconds, in a flight that is longer, are a blow."""
 _NEAR: Final = 0.9

@@ -75,7 +75,7 @@ def is_table(path: str | Path) -> bool:
 
 
 def _kind(head: bytes, suffix: str) -> str:
-    """What the content is, whatever the file is called; the ending decides where the content does not show it."""
+    """Kind of the file by its content; by its ending where the content does not show it."""
     if head.startswith(_ULOG_START):
         return ".ulg"
     if head.startswith(_DATAFLASH_START):

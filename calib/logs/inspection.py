@@ -228,7 +228,7 @@ def constant_run(channel: Channel) -> Gap | None:
 
 
 def _longest_run(t: Array, same: NDArray[np.bool_], period: float | None) -> Gap | None:
-    """The longest run of equal samples; a gap ends a run, since nobody saw what was in it."""
+    """The longest run of equal samples; a gap ends a run."""
     if len(t) < 2 or period is None:
         return None
     held = np.flatnonzero(np.diff(same & (np.diff(t) <= GAP_PERIODS * period), prepend=False, append=False))

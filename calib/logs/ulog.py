@@ -112,7 +112,7 @@ def read_ulog(path: Path | str) -> Recording:
 
 
 def _ordered(channels: Iterable[Channel], start: float, events: list[Event]) -> tuple[Channel, ...]:
-    """Channels in the order of time; `events` are told how many samples were left out, and why."""
+    """Channels in order of time; `events` gets how many samples were left out, and why."""
     kept = []
     for channel in channels:
         ordered, late = in_order(channel, start + LONGEST_S)

@@ -101,7 +101,7 @@ class Rates:
         )
 
     def adjusted(self, gain: float, lag: float, axes: Array) -> Rates:
-        """With a blur that is stronger by the fraction `gain`, time stamps that are late by `lag`, s, and another gyro.
+        """The blur, stronger by the fraction `gain`, with time stamps late by `lag` (s), and another gyroscope.
 
         What it calls phi is then `axes` (3, 3) times that.
         """

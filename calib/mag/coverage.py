@@ -106,7 +106,7 @@ class Coverage:
 
     @classmethod
     def empty(cls) -> Coverage:
-        """Nothing seen yet."""
+        """A coverage without a sample."""
         return cls(np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_SECTIONS, dtype=np.bool_), 0)
 
     @classmethod
@@ -125,7 +125,7 @@ class Coverage:
         return cls(rows.T @ rows, visited(units), len(units))
 
     def merged(self, other: Coverage) -> Coverage:
-        """With what `other` has seen."""
+        """The coverage of both together."""
         return Coverage(self.information + other.information, self.seen | other.seen, self.count + other.count)
 
     @property

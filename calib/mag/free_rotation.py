@@ -135,7 +135,7 @@ def best_mirrors(down: Array, field: Array, sine: float | None, starts: Array) -
 
 
 def mirror_words(mirror: Array) -> str:
-    """What a matrix (3, 3) of determinant -1, true from read axes of the sensor, does to the axes.
+    """How a matrix (3, 3) of determinant -1, true from read axes of the sensor, mirrors the axes, in words.
 
     >>> mirror_words(np.diag([1.0, 1.0, -1.0]))
     'its z axis reads with the wrong sign'

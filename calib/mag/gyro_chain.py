@@ -150,7 +150,7 @@ class Chain:
         return self._at(delay, found.solution.x, found.radius, found.noise, found.coordinates)
 
     def _weighed(self, found: ChainSolution) -> ChainSolution:
-        """With the compass' noise as its residuals show it, or as it is known."""
+        """The solution with the compass' noise as known, or as its residuals show it."""
         known = self.context.noise_variance
         for _ in range(4):
             if known is not None:

@@ -107,12 +107,12 @@ class Moments:
         return cls(np.zeros(3), 1.0, gram)
 
     def added(self, samples: NDArray[Any]) -> Moments:
-        """With `samples` (N, 3) of any real type taken in; they must be finite."""
+        """The moments with `samples` (N, 3) added; they must be finite, of any real type."""
         found = Moments.of(Cloud(samples, self.centre, self.scale))
         return Moments(self.centre, self.scale, self.gram + found.gram)
 
     def merged(self, other: Moments) -> Moments:
-        """With the samples of `other`, which must share `centre` and `scale`."""
+        """The moments of both; `other` must share `centre` and `scale`."""
         if self.scale != other.scale or not np.array_equal(self.centre, other.centre):
             raise InvalidInputError("moments about different centres or scales cannot be merged")
         return Moments(self.centre, self.scale, self.gram + other.gram)

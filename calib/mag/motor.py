@@ -210,7 +210,7 @@ def _unhelped(candidate: Candidate, none: Candidate) -> list[str]:
 
 
 def _gains(candidate: Candidate, none: Candidate) -> list[tuple[str, Array, Array]]:
-    """By each attitude: how much nearer the parts of the flight come (S,), and the sd of that (S,)."""
+    """Gains of each attitude: decrease of the error of every part (S,), and its sd (S,)."""
     found = [(BY_GYROSCOPE, *candidate.hidden.gains_over(none.hidden))]
     if candidate.log is not None and none.log is not None:
         found.append((BY_LOG, *candidate.log.hidden.gains_over(none.log.hidden)))

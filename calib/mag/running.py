@@ -95,7 +95,7 @@ class RunningEllipsoid:
         return cls(forgetting, moments, np.zeros((20, 20)), np.zeros((10, 10)), np.zeros(10), np.zeros(10), 0)
 
     def added(self, samples: ArrayLike) -> RunningEllipsoid:
-        """With `samples` (N, 3) or (3,) taken in, in order of time.
+        """The fit with `samples` (N, 3) or (3,) added, in order of time.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class RunningEllipsoid:
         return state
 
     def then(self, later: RunningEllipsoid) -> RunningEllipsoid:
-        """With the samples of `later`, which came after these and share centre, scale and forgetting.
+        """The fit of both; `later` came after this one, and shares centre, scale and forgetting.
 
         Raises
         ------

@@ -141,7 +141,7 @@ def _even(channel: Channel) -> tuple[Array, float, list[str]]:
 
 
 def _disturbed(values: Array, rate: float) -> list[str]:
-    """Stretches that scatter far more than the others: somebody touched it."""
+    """Stretches that scatter far more than the others, as where the sensor was touched."""
     length = max(len(values) // _STRETCHES, 8)
     starts = np.arange(0, len(values) - length + 1, length // 2)  # halves shared
     scatter = np.sqrt([values[i : i + length].var(axis=0).sum() for i in starts])
@@ -156,7 +156,7 @@ def _disturbed(values: Array, rate: float) -> list[str]:
 
 
 def _filtered(tables: list[AllanTable], fits: list[AllanFit | None]) -> list[str]:
-    """Where the shortest averaging times do not follow the model: below it, a low-pass; above it, something else."""
+    """Warnings where the shortest averaging times lie below the model, by a low-pass, or above it."""
     below: list[str] = []
     above: list[str] = []
     for axis, (table, fit) in enumerate(zip(tables, fits, strict=True)):

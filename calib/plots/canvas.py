@@ -32,7 +32,7 @@ _LEAST = 16
 
 
 class PlottedChannel(Protocol):
-    """What a picture needs of a :class:`calib.recording.Channel`."""
+    """The part of :class:`calib.recording.Channel` that a picture needs."""
 
     @property
     def sensor(self) -> str: ...  # noqa: D102 - as there

@@ -110,7 +110,7 @@ def _samples(fit: PlottedFit, channel: PlottedChannel, temperature: ArrayLike | 
 
 
 def _rates(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> Chart:
-    """What a gyro at rest is off, over time."""
+    """Error of a gyroscope at rest over time."""
     unit, factor = shown(fit.unit)
     limits = limits_of(factor * raw, factor * corrected)
     chart = Chart("", "time, s", f"rate, {unit}", limits_of(t), limits, WIDTH, HEIGHT, legend_rows=2)
@@ -198,7 +198,7 @@ def _drift(fit: PlottedFit) -> Chart:
 
 
 def _by_direction(fit: PlottedFit) -> Chart:
-    """What the parameters correct, without samples: in six directions of the true vector, or at rest."""
+    """The correction by the parameters, without samples: in six directions of the true vector, or at rest."""
     gyro = fit.sensor == "gyro"
     strength = 0.0 if gyro else STANDARD_GRAVITY if fit.sensor == "accel" else _field(fit, None)
     truths = np.zeros((1, 3)) if gyro else strength * np.vstack([np.eye(3), -np.eye(3)])

@@ -18,7 +18,7 @@ _LONGEST = 55
 
 
 class PlottedSeries(Protocol):
-    """What a picture needs of a :class:`calib.gap.schema.SeriesFit`."""
+    """The part of :class:`calib.gap.schema.SeriesFit` that a picture needs."""
 
     @property
     def sensor(self) -> str: ...  # noqa: D102 - as there

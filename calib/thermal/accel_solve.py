@@ -65,7 +65,7 @@ class WarmProblem:
 
 @dataclass(frozen=True, eq=False)
 class WarmSolution:
-    """Where the iteration ended: estimate, posterior covariance, and the linearisation there."""
+    """End of the iteration: estimate, posterior covariance, and the linearisation there."""
 
     parameters: Array
     covariance: Array
@@ -77,7 +77,7 @@ class WarmSolution:
 
 @dataclass(frozen=True, eq=False)
 class AccelThermalSolution:
-    """The solution, the one under a weak prior that tells what is open, and the indices of that."""
+    """The solution, that under a weak prior, and the indices of the parameters that this one leaves open."""
 
     warm: tuple[WarmPose, ...]
     problem: WarmProblem

@@ -113,7 +113,7 @@ class DriftCells:
         return tuple(found)
 
     def data(self, temperature: Array) -> DriftData:
-        """What a thermal fit takes, with one temperature a cell (degC)."""
+        """Data for a thermal fit, with one temperature a cell (degC)."""
         table = self.table()
         still = (table.squares == 0.0).all(axis=0) & (np.ptp(table.mean, axis=0) == 0.0)
         return DriftData(

@@ -331,7 +331,7 @@ class DriftCurve:
         return cls(shift @ coefficients, shift @ noise.covariances @ shift.T, drift, spread)
 
     def widened(self, change: Array) -> DriftCurve:
-        """With the covariance of a nuisance added; one sd of it changes the coefficients by `change` (p, 3)."""
+        """The fit with a nuisance's covariance added: one sd of it changes the coefficients by `change` (p, 3)."""
         return dataclasses.replace(self, covariances=self.covariances + np.einsum("pk,qk->kpq", change, change))
 
     def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:

@@ -148,7 +148,7 @@ def fit_linear(
 
 
 def _beside_slopes(data: DriftData, estimated: NDArray[np.bool_]) -> dict[str, str]:
-    """What the slopes leave open, each with what would determine it."""
+    """Parameters that the slopes leave undetermined, each with the movement that would determine it."""
     none = np.zeros(3, dtype=np.bool_)
     flat = tuple(f"poly1_{AXES[i]}" for i in range(3) if not estimated[i])
     return dict.fromkeys(OFFSETS, _ONLY_SLOPE) | {name: remedy_for(name, data, none, none) for name in flat}

@@ -89,7 +89,7 @@ def remedy_for(name: str, data: DriftData, too_coarse: NDArray[np.bool_], declin
 
 
 def attitude_quality(channel: Channel, curve: DriftCurve, estimated: NDArray[np.bool_]) -> dict[str, float]:
-    """What the sd of the curves does to the attitude, at the worst temperature of the span."""
+    """Error of the attitude by the sd of the curves, at the worst temperature of the span."""
     worst = float(np.where(estimated, curve.drift_sd, 0.0).max())
     if channel.sensor == Sensor.GYRO and channel.unit == "rad/s":
         return {"attitude_sd_deg_per_min": float(np.degrees(60.0 * worst))}

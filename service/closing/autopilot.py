@@ -105,7 +105,7 @@ class Autopilot(ABC):
 
     @abstractmethod
     def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
-        """What is uploaded, from item 0 on."""
+        """The mission items to upload, from item 0 on."""
 
     def start_mission(self, to: Target) -> Any:
         """Begin the mission with its first item."""
@@ -177,9 +177,9 @@ def _with_numbers(item: MissionItem) -> MissionItem:
 
 
 CLIMB = 1.5
-"""m/s, with which a vehicle is flown up that does not take off by itself."""
+"""Climb of a vehicle without a take-off of its own, m/s."""
 
 
 def autopilot_of(heartbeat: Any) -> Autopilot:
-    """Who sent this heartbeat: PX4, else it is taken for ArduPilot."""
+    """The autopilot of a heartbeat: PX4, or ArduPilot for any other number."""
     return Px4() if heartbeat.autopilot == dialect.MAV_AUTOPILOT_PX4 else ArduPilot()

@@ -1,4 +1,4 @@
-"""The conversation with one vehicle: what it says of itself, by its own clock, and what it is told again and again."""
+"""The exchange with one vehicle: its state on its own clock, and setpoints that are repeated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HINT = "Run the simulator by hand and look at it."
 
 @dataclass
 class VehicleState:
-    """What was heard last: time since its boot (s), height (m), attitude and its mean over a second (rad)."""
+    """Last state: time since boot (s), height (m), attitude and its mean over a second (rad)."""
 
     t: float = 0.0
     height: float = 0.0
@@ -42,7 +42,7 @@ class VehicleState:
 
 
 class Conversation:
-    """With the vehicle behind `link`, whose heartbeat was heard.
+    """Exchange with the vehicle behind `link`, whose heartbeat was heard.
 
     `check` raises if the simulator has ended; `on_progress` gets the seconds since the beginning and the activity.
     """
@@ -157,7 +157,7 @@ class Conversation:
         return f"{self.state.t - self._began:.0f} s into the mission ({self.doing})"
 
     def said(self) -> str:
-        """What the vehicle said in words, as a sentence with a space before."""
+        """The vehicle's last texts as a sentence with a leading space; empty if there were none."""
         return f" It said: {'; '.join(self._texts)}." if self._texts else " It said nothing in words."
 
     def send(self, message: Message) -> None:
@@ -174,7 +174,7 @@ class Conversation:
         every: float = TRY_S,
         until: Callable[[], bool] = lambda: False,
     ) -> bool:
-        """So many seconds of the vehicle's clock with a repeated message; True as soon as `until` says so."""
+        """Repeat a message for `seconds` of the vehicle's clock; True as soon as `until` is true."""
         begin, last = self.state.t, -math.inf
         while self.state.t < begin + seconds:
             if until():
@@ -192,7 +192,7 @@ class Conversation:
         return self._parameters.get(name, otherwise)
 
     def stop_logging(self) -> None:
-        """Nothing more is to be logged: else a logger that is behind never catches up. Whoever cannot, goes on."""
+        """Tell the vehicle to stop logging, so that a logger that is behind can catch up."""
         for name, value in self.way.quiet.items():
             real = dialect.MAV_PARAM_TYPE_REAL32
             self.send(dialect.MAVLink_param_set_message(*self.to, name.encode(), value, real))

@@ -81,7 +81,7 @@ class Follower:
         vehicle.run(self._mission.rest_after_s)
 
     def _find_home(self) -> Place:
-        """Where the vehicle's home is, as soon as it knows."""
+        """The vehicle's home position, waited for until the vehicle states it."""
         vehicle = self._vehicle
         vehicle.doing = "waiting for a position"
         ask = ways.command(vehicle.to, dialect.MAV_CMD_REQUEST_MESSAGE, _HOME_ASK)

@@ -185,7 +185,7 @@ def require_nobody(endpoint: Endpoint) -> None:
 
 
 def text_of(value: bytes | str) -> str:
-    """What a field of characters says."""
+    """The text in a field of characters."""
     raw = value.encode() if isinstance(value, str) else value
     return raw.split(b"\0")[0].decode("utf-8", "replace")
 

@@ -55,7 +55,7 @@ class Diagnose(Protocol):
 
 @dataclass(frozen=True)
 class ClosingPlan:
-    """What is closed: the real flight against `command`.
+    """The loop to close: the real flight against the simulator of `command`.
 
     `rounds` counts flights with a remedy, after the first one with the settings of `start`; `connect` is an endpoint in
     which ``{port}`` stands for the free port of a round.

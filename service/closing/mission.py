@@ -34,7 +34,7 @@ class MissionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Leg:
-    """So many seconds of one target: a velocity, m/s, or a lean away from the trim, deg.
+    """One target for `seconds`: a velocity in m/s, or a lean away from the trim in deg.
 
     `turn` is the heading from that at take-off, deg. A leg with `until_height` ends there, m, or after `seconds`.
     """

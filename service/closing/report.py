@@ -37,7 +37,7 @@ def sentence(result: ClosingResult) -> str:
 
 
 def round_lines(result: RoundResult) -> list[str]:
-    """What a round measured, and what it sets."""
+    """Lines on a round: what it measured, and what the next one sets."""
     error = "" if result.velocity_error is None else f", error after 1 s {number(result.velocity_error)} m/s"
     lines = [f"round {result.number}: {result.verdict}{error}{_closes(result)}"]
     lines += [f"  {one}" for one in (*result.notes, *_effects(result))]

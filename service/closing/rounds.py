@@ -158,12 +158,12 @@ def measured(
 
 
 def _cut_short(report: GapReport) -> tuple[str, ...]:
-    """That the limit ended a diagnosis that found nothing: the first of its warnings."""
+    """The first warning of a diagnosis that found nothing before its limit; empty otherwise."""
     return report.warnings[:1] if report.left_out and report.verdict is GapVerdict.NOT_TESTABLE else ()
 
 
 def _doubts(report: GapReport) -> tuple[str, ...]:
-    """What a diagnosis that names nothing material warns of: nobody is to believe that the flights are alike."""
+    """Warnings of a diagnosis that names no material effect: they say why the flights may differ all the same."""
     return () if any(map(is_material, report.effects)) else report.warnings[len(_cut_short(report)) :][:_MOST_DOUBTS]
 
 

@@ -31,7 +31,7 @@ class SimSettings:
     frame: Mapping[str, Any] = field(default_factory=dict)
 
     def patched(self, effects: Iterable[EffectEstimate]) -> SimSettings:
-        """With the `sim_patch` of every effect; values of a patch are absolute, and the last one of a name holds."""
+        """These settings with every effect's `sim_patch`: absolute values, of which the last one of a name counts."""
         parameters, frame = dict(self.parameters), dict(self.frame)
         for effect in effects:
             for name, value in effect.sim_patch.items():
@@ -42,7 +42,7 @@ class SimSettings:
         return SimSettings(parameters, frame)
 
     def changed_from(self, other: SimSettings) -> dict[str, tuple[Any, Any]]:
-        """By name: the value before (None: not set) and now."""
+        """The changed settings by name: value in `other` (None: not set) and value here."""
         before = {**other.parameters, **other.frame}
         now = {**self.parameters, **self.frame}
         return {name: (before.get(name), value) for name, value in now.items() if before.get(name) != value}

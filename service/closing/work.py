@@ -79,11 +79,11 @@ class WorkFolder:
                 os.close(held)
 
     def round_folder(self, number: int) -> Path:
-        """Where a round's files are."""
+        """Folder of a round's files."""
         return self.path / f"round-{number}"
 
     def result(self, number: int, settings: SimSettings) -> RoundResult | None:
-        """What a round measured, if it is done and flew with `settings`."""
+        """Result of a round that is done and flew with `settings`; None: there is none."""
         kept = read_json(self.round_folder(number) / ROUND)
         if kept is None or kept.get("settings") != to_json(settings.as_json()):
             return None

@@ -1,4 +1,4 @@
-"""``mavcal campaign items``: those of a data directory, whoever runs it, or those of a running service."""
+"""``mavcal campaign items``: lists the items of a campaign in a data directory or a running service."""
 
 from __future__ import annotations
 

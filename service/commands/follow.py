@@ -48,7 +48,7 @@ def command(*, job_id: str, url: str, key_file: Path | None, as_json: bool) -> i
 
 
 async def followed(client: AsyncClient, job_id: str, screen: Screen) -> JobModel:
-    """Show what happens to a job until nothing goes on with it by itself; lines typed answer it."""
+    """Show what happens to a job until it ends or waits for a person; typed lines answer its prompts."""
     from mavcal.client.events import StateEvent
     from mavcal.service.commands.headless import answering, rests, show_event
     from mavcal.service.commands.keyboard import keyboard

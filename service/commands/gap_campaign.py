@@ -59,7 +59,7 @@ async def diagnoser(folder: Path, *, processes: int = 1, timeout_s: float = TIME
 
 @dataclass(frozen=True)
 class Plan:
-    """What is run: (tier, seed) pairs, whether selection is nested in the folds, and how many at once."""
+    """The cases as (tier, seed) pairs, whether selection is nested in the folds, and the number of processes."""
 
     cases: Sequence[tuple[str, int]]
     nested: bool

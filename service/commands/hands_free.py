@@ -59,7 +59,7 @@ async def mended(door: Door, vehicle_id: str, kind: str, screen: Screen, *, look
 
 
 async def wait_for_job(client: AsyncClient, job_id: str) -> JobModel:
-    """The job, once nothing goes on with it by itself. Raises TimeoutError after two minutes."""
+    """The job, once it has ended or waits for a person. Raises TimeoutError after two minutes."""
     async with asyncio.timeout(WAIT_S):
         while state_of(job := await client.get_job(job_id)) not in LEFT:  # noqa: ASYNC110 - another process may run it
             await asyncio.sleep(_LOOK_S)

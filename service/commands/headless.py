@@ -81,7 +81,7 @@ def state_of(job: JobSummary | JobModel) -> JobState:
 
 
 def rests(job: JobSummary | JobModel) -> bool:
-    """Whether nothing goes on with the job by itself: it has ended, or its plan waits to be accepted."""
+    """Whether the job has ended, or its plan waits to be accepted."""
     from mavcal.service.jobs.core.states import ENDED, JobState
 
     return state_of(job) in ENDED | {JobState.REVIEW}
@@ -148,7 +148,7 @@ def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
 
 
 async def left_over(door: Door) -> list[UnfinishedModel]:
-    """What earlier runs have left unfinished; of a service that others use too, only writes that are in doubt now."""
+    """Jobs that earlier runs have left unfinished; of a shared service only writes that are in doubt now."""
     from mavcal.client.enums import JobState
 
     begun = await door.client.list_unfinished()

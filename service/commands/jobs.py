@@ -1,4 +1,4 @@
-"""``mavcal jobs``: the jobs of a data directory, whoever runs it, or of a running service."""
+"""``mavcal jobs``: lists the jobs of a data directory or of a running service."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _state(name: str | None) -> str | None:
 
 
 def _of_service(url: str, key_file: Path | None, wish: _Wish) -> tuple[list[dict[str, Any]], bool]:
-    """A page of jobs as the service tells them, and whether there are more."""
+    """A page of jobs in the form of the API, and whether there are more."""
     from mavcal.client.enums import JobState
 
     state = None if wish.state is None else JobState(wish.state)

@@ -57,7 +57,7 @@ def all_plan_options(command: Command) -> Command:
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:
-    """Those that were given, as plain data. Takes them out of `options`."""
+    """The plan's options that were given, as plain data; they are removed from `options`."""
     named = {name: options.pop(name) for name in (*NAMES, *OF_RECORDINGS) if name in options}
     found = {n: v for n, v in named.items() if v is not None and (v is not False or n in _TWO_WAYS)}
     if "only" in found:

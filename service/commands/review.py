@@ -32,7 +32,7 @@ YES = frozenset({"yes", "y"})
 
 @dataclass(frozen=True)
 class JobWish:
-    """What a run of a command is to do with its job."""
+    """Options of a command for its job: write or take back, need a proof, allow a restart, print JSON."""
 
     write: bool
     require_proof: bool = False
@@ -121,7 +121,7 @@ class _Run:
         return job
 
     async def _carried(self, job: JobModel, since: float, typed: Keyboard) -> None:
-        """Take the job to where nothing goes on with it by itself."""
+        """Follow the job until it ends or waits for a person."""
         from mavcal.client.enums import JobState
         from mavcal.service.commands.headless import follow, rests
 

@@ -14,7 +14,7 @@ from mavcal.service.commands.place import NO_OPTIONS, CommandPlace
 
 BAR = 28
 SAY_EVERY_S = 10.0
-"""Without a terminal, whoever reads the lines hears at least so often what is waited for."""
+"""Longest time between two lines of progress where there is no terminal."""
 
 
 class Screen:

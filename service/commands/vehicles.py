@@ -143,7 +143,7 @@ async def served(client: AsyncClient, whom: Whom, screen: Screen) -> list[Vehicl
 
 
 def _meant(known: Sequence[VehicleModel], whom: Whom) -> list[VehicleModel]:
-    """Those of `known` that the options mean; none as long as one of them is missing. Raises UsageError."""
+    """The vehicles of `known` that the options name; none while one is missing. Raises UsageError."""
     if not whom.ids:
         if len(known) > 1 and not whom.every:
             raise click.UsageError(f"{_listed(known)}: choose with --vehicle ID")

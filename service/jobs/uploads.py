@@ -121,7 +121,7 @@ MOST_STARTS = 3
 
 
 STEPS = 2
-"""What a child tells of: it reads, then it computes."""
+"""Steps that a child reports: reading, then computing."""
 
 
 NOTHING_WRITTEN = "Nothing was written to a vehicle, so there is nothing to prove."

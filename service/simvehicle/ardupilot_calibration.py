@@ -103,7 +103,7 @@ def gyro_offsets(sensors: ArduPilotSensors, now: float) -> tuple[list[Array], fl
 
 
 def gyro_values(sensors: ArduPilotSensors, now: float, offsets: list[Array]) -> dict[str, Value]:
-    """What a gyro calibration stores: three slots; absent ones become zero."""
+    """Parameters that a gyro calibration stores: three slots, zeros for those without a sensor."""
     values: dict[str, Value] = {}
     for slot in range(SLOTS):
         present = slot < len(offsets)

@@ -236,7 +236,7 @@ class ArduPilotCommands:
         self._stored.write(values)
 
     def store_gyro_offsets(self) -> None:
-        """Calibrate the gyros at this instant, as at boot: nobody is told of the offsets."""
+        """Calibrate the gyros at this instant as at boot, without a PARAM_VALUE of the new offsets."""
         now = self._vehicle.time
         offsets, _ = calibration.gyro_offsets(self._sensors, now)
         self._stored.write(calibration.gyro_values(self._sensors, now, offsets), announce=False)

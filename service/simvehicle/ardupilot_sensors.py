@@ -24,7 +24,7 @@ MOTOR_COMPENSATION_THROTTLE, MOTOR_COMPENSATION_CURRENT = 1, 2
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """What is in force for one IMU instance."""
+    """The calibration in force of one inertial unit."""
 
     accel_offset: Array
     accel_scale: Array

@@ -32,7 +32,7 @@ class ArduPilotThermal:
         return np.asarray(d * (c1 + d * (c2 + d * c3)))
 
     def correction(self, temperature: Array, cal_temperature: float) -> Array:
-        """What is subtracted: P(T) − P(Tc); a CALTEMP of −300 is clamped to t_min like any other."""
+        """P(T) − P(Tc), which is subtracted; a CALTEMP of −300 is clamped to t_min like any other."""
         return self.polynomial(temperature) - self.polynomial(np.array([cal_temperature]))
 
 

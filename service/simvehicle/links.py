@@ -82,7 +82,7 @@ class SimEndpoint(ABC):
 
 
 class UdpEndpoint(SimEndpoint):
-    """What both directions of UDP have in common."""
+    """Common part of both directions of UDP."""
 
     _socket: socket.socket
 

@@ -189,7 +189,7 @@ class Tumble:
 
 
 class CurrentMotion:
-    """What the vehicle is doing now; commands replace the segment from the present vehicle time on."""
+    """The present motion; a command replaces its segment from the present vehicle time on."""
 
     def __init__(self, rng: np.random.Generator, yaw_deg: float = 0.0) -> None:
         self._rng = rng

@@ -27,7 +27,7 @@ def true_angles(config: VehicleConfig, mag: int) -> tuple[float, float, float] |
 
 
 def stated(config: VehicleConfig) -> Iterator[tuple[int, tuple[float, float, float] | None]]:
-    """What the parameters of a new vehicle say of each magnetometer: a number, and the angles where it has none."""
+    """Mounting of each magnetometer in the parameters of a new vehicle: a number, and angles where it has none."""
     for mag in range(config.mag_count):
         if config.mag_orientation_parameters is not None:
             yield config.mag_orientation_parameters[mag], None

@@ -103,7 +103,7 @@ class Px4Commands:
         return ACCEPTED
 
     def arming_faults(self) -> list[str]:
-        """What HealthAndArmingChecks report; empty where arming is allowed."""
+        """Reasons of HealthAndArmingChecks against arming; empty where it is allowed."""
         faults = [f"Preflight Fail: {what} uncalibrated" for what in self._sensors.uncalibrated()]
         if self.calibrating:
             faults.append("Preflight Fail: Calibration in progress")

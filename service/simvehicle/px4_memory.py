@@ -26,7 +26,7 @@ FLT_EPSILON = 1.1920929e-07
 
 @dataclass
 class SensorMemory:
-    """What one sensor's corrections really use.
+    """Calibration values of one sensor in PX4's memory, which its corrections use.
 
     Attributes:
         kind: ACC, GYRO or MAG.

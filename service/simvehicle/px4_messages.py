@@ -215,7 +215,7 @@ class Px4Messages(AutopilotMessages[Px4Readings]):
         }
 
     def boot(self) -> None:
-        """The estimator begins from nothing, and every channel gets what nobody has to ask for."""
+        """Reset the estimator, and start the streams that PX4 sends unasked on every channel."""
         vehicle = self._vehicle
         self._estimator, self._fields = Estimator(vehicle.config.seed + vehicle.boots), NewFields()
         for channel in vehicle.channels:

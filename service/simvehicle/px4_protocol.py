@@ -136,7 +136,7 @@ class Px4Parameters:
         return parameter.value != before
 
     def write(self, values: dict[str, Value]) -> None:
-        """The firmware changes parameters by itself: told to everybody with the next repetition."""
+        """Change parameters on the firmware's behalf; the next repetition broadcasts them."""
         for name, value in values.items():
             self._store(name, value)
         self.notify()

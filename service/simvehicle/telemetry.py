@@ -53,7 +53,7 @@ class Block:
 def make_block(
     world: SimWorld, state: MotionState, corrected_force: Array, corrected_rate: Array, trim: Array
 ) -> Block:
-    """What the estimator makes of corrected readings: heading is the true one, tilt follows the accelerometer."""
+    """State as estimated from corrected readings: the true heading, and the tilt of the accelerometer."""
     q = estimated_attitude(state, corrected_force, trim)
     return Block(
         state.t.tolist(),

@@ -97,7 +97,7 @@ class FlightController(ABC):
 
     @abstractmethod
     def boot(self) -> None:
-        """What the firmware does at vehicle time zero."""
+        """Start the firmware at vehicle time zero."""
 
     @abstractmethod
     def handle(self, channel: MavlinkChannel, received: Received) -> None:

@@ -26,7 +26,7 @@ DEFAULT_TREMOR_DEG = 0.2
 
 
 class Process(Protocol):
-    """What the verbs ask of the process that keeps the vehicle going."""
+    """Process that runs the vehicle, as far as the verbs need it."""
 
     vehicle: Any
     """The vehicle; its personality has more than every vehicle has."""

@@ -95,12 +95,12 @@ class VehicleIdentity:
 
 
 def identity_from_heartbeat(message: Message) -> VehicleIdentity:
-    """What a HEARTBEAT tells."""
+    """The identity that a HEARTBEAT states."""
     return VehicleIdentity(_AUTOPILOTS.get(message.autopilot, Autopilot.OTHER), message.type)
 
 
 def identity_from_version(known: VehicleIdentity, message: Message) -> VehicleIdentity:
-    """Add what AUTOPILOT_VERSION tells."""
+    """The identity with the fields of AUTOPILOT_VERSION filled in."""
     number = message.flight_sw_version
     version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
     kind = _RELEASE.get(number & 0xFF, f"-{number & 0xFF}")

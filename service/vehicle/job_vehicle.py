@@ -110,7 +110,7 @@ class JobVehicle:
 
     @property
     def rates(self) -> RateLedger:
-        """Who uses its message rates, and what is set on which link."""
+        """The ledger of its message rates."""
         return self._vehicle.rates
 
     @property
@@ -222,7 +222,7 @@ class JobVehicle:
         return self._vehicle.parameters.listen(lambda heard, _before: callback(_reading(heard)))
 
     def tlog_position(self) -> TlogPosition:
-        """Where the telemetry log stands: everything delivered so far lies before it."""
+        """Byte position in the telemetry log behind all that was delivered so far."""
         tlog = self._vehicle.link.tlog
         return TlogPosition(tlog.path, tlog.position)
 
@@ -239,7 +239,7 @@ class JobVehicle:
 
 
 class VehicleSource:
-    """Where jobs find vehicles.
+    """Finds vehicles for jobs by their id.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class ParameterSet:
 
 
 class _Listing:
-    """What has come of one list. Indices count only within one length of it: if that changes, so may they."""
+    """The received part of one parameter list. An index holds only as long as the length of the list stays the same."""
 
     def __init__(self) -> None:
         self.names: dict[int, str] = {}

@@ -180,7 +180,7 @@ class Parameters(Mapping[str, Parameter]):
             self._asked += Counter()
 
     def _beside(self, name: str) -> str | None:
-        """A parameter that exists and that nobody else is asking for now: its answer is to this question alone."""
+        """Another parameter that exists, preferably one that no other reader is asking for."""
         others = [known for known in self._known if known != name]
         return next((known for known in others if known not in self._asked), next(iter(others), None))
 
@@ -296,7 +296,7 @@ class Parameters(Mapping[str, Parameter]):
         raise settled
 
     def _note(self, confirmed: Parameter) -> None:
-        """What was confirmed is known, also where the echo came over a link that is not in use."""
+        """Store a confirmed value, also if its echo came over a link that is not in use."""
         known = self._known.get(confirmed.name)
         if known is not None and known.bits != confirmed.bits:
             index = known.index if confirmed.index is None else confirmed.index

@@ -195,7 +195,7 @@ class VehicleRegistry:
         return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
     def _part(self, unit: Vehicle, link: Link, why: str) -> Vehicle:
-        """What speaks on this link is another unit than the one heard on the others: a vehicle of its own."""
+        """Make a vehicle of its own of the unit on this link, which is not the one on the other links."""
         heartbeat = unit.heartbeat
         unit.leave(link, why)
         return self._add(link, unit.system, unit.component, heartbeat)

@@ -274,7 +274,7 @@ def _age_s(vehicle: Vehicle) -> float:
 
 
 def _remembered(vehicle: Vehicle) -> float | None:
-    """What the link was seen to carry a short while ago; the longer ago, the more it may carry again."""
+    """Capacity of the link as measured lately, bytes/s, doubled with each minute since; None: not measured."""
     age = _age_s(vehicle)
     if vehicle.carried is None or age > REMEMBERED_S:
         return None

@@ -122,4 +122,4 @@ def _forget(subscriber: _Subscriber) -> None:
 
 
 def _nothing() -> None:
-    """Nothing was asked of that link."""
+    """Do nothing: this link was not asked for frames."""

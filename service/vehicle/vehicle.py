@@ -298,7 +298,7 @@ class Vehicle:
     # --- links
 
     def join(self, other: Vehicle) -> None:
-        """Take over the links of `other`, which turned out to be this unit; it is nobody of its own from now on."""
+        """Take over the links of `other`, which turned out to be this unit, and close `other`."""
         for channel in other.channels:
             channel.clock.restarts = self.state.rebooted
             self.channels.join(channel)
@@ -410,13 +410,13 @@ class Vehicle:
             self._poll_when_due(now)
 
     def _poll_when_due(self, now: float) -> None:
-        """With time and with every heartbeat: a late event loop may have a turn only before what it is to hear."""
+        """Poll every 2 s; called by the clock and at every heartbeat, so that a late event loop polls too."""
         if now - self._polled_at >= _POLL_S:
             self._polled_at = now
             self._poll(now)
 
     def _ask_clock(self, channel: LinkChannel) -> None:
-        """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and nowhere else."""
+        """Ask for the vehicle's time, which shows a restart, unless it has come since the last heartbeat."""
         if not channel.clock_heard:
             self._ask_over(channel, dialect.MAVLINK_MSG_ID_SYSTEM_TIME)
         channel.clock_heard = False

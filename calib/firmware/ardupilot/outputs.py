@@ -72,7 +72,7 @@ def kind_of_vehicle(stated: int | None, parameters: Mapping[str, float]) -> int 
 def motor_outputs(
     outputs: Sequence[int], parameters: Mapping[str, float], vehicle_type: int | None
 ) -> list[MotorOutput]:
-    """The outputs among `outputs` that drive motors, by motor number where a function tells it."""
+    """The outputs that drive motors, by motor number where a function states it."""
     kind = kind_of_vehicle(vehicle_type, parameters)
     functions = {n: int(parameters.get(f"SERVO{n}_FUNCTION", 0)) for n in outputs}
     motors = {MOTOR_FUNCTIONS[f]: n for n, f in functions.items() if f in MOTOR_FUNCTIONS}
@@ -117,7 +117,7 @@ def _reversible(number: int, parameters: Mapping[str, float], kind: int | None) 
 
 
 def _ends(number: int, parameters: Mapping[str, float]) -> tuple[float, float] | None:
-    """Least and most pulse of that output; None: not told."""
+    """Least and greatest pulse of that output, us; None: not stated."""
     for stem in (f"SERVO{number}", f"RC{number}"):
         low, high = parameters.get(f"{stem}_MIN", 0.0), parameters.get(f"{stem}_MAX", 0.0)
         if LEAST_US <= low < high <= MOST_US:

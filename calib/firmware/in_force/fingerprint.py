@@ -83,7 +83,7 @@ together. So an uninitialised priority (-1) becomes the default (50) with the fi
 """
 PX4_PRIORITY: Final = re.compile(r"CAL_(ACC|GYRO|MAG|BARO)\d_PRIO")
 BY_ITSELF: Final = REWRITTEN | CLAIMED_AT_REST
-"""Everything that a vehicle changes by itself: such a change is nobody's fault, and the capture may begin again."""
+"""Parameters that a vehicle changes by itself; after such a change the capture may begin again."""
 
 
 def matters(name: str, sensors: Collection[Sensor]) -> bool:

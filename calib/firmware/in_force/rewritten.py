@@ -111,7 +111,7 @@ def _has_sensor(name: str, parameters: Mapping[str, Value]) -> bool:
 
 
 def compass_offset_changes(recording: Recording) -> dict[int, tuple[float, ...]]:
-    """By instance of a compass, the moments at which its offset in force changed, s, ascending."""
+    """Times at which the offset in force of each compass changed, s, ascending, by instance."""
     found: dict[int, set[float]] = {}
     for event in recording.events:
         if match := _PX4_SAYS.match(event.text):

@@ -47,7 +47,7 @@ Key = tuple[Sensor, int]
 Parameters = dict[str, Value]
 PX4_KEYS = tuple((sensor, instance) for sensor in CALIBRATED for instance in range(PX4_SLOTS))
 _WORDS = {Sensor.ACCEL: ("ACC", "TC_A"), Sensor.GYRO: ("GYR", "TC_G"), Sensor.MAG: ("COMPASS", "MAG", "TC_M")}
-"""By these a parameter's name tells whose calibration it is; one that has none of them is everybody's."""
+"""Markers in a parameter's name for the sensor that it calibrates; a name without one concerns every sensor."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,7 +103,7 @@ class Corrections:
         return np.array([np.nan if r.temperature is None else r.temperature for r in readings])
 
     def readable(self, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
-        """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
+        """The `readings` whose correction can be undone: one by temperature needs the temperature."""
         ends = [self.force.possible(self.about, self.every - h) for h in (ALL_APPLIED, self.every)]
         thermal = any(m is not None and m.polynomial is not None for m in ends)
         return tuple(r for r in readings if r.temperature is not None or not thermal)

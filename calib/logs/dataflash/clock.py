@@ -73,7 +73,7 @@ class Clock:
 
     @cached_property
     def _grid(self) -> tuple[NDArray[np.int64], Array]:
-        """Where the densest messages lie whose times are believed, and those times.
+        """Places in the file and times of the densest message whose times are plausible.
 
         A quarter of what a recording of it needs, so it is only made for a log with damage or messages without stamp.
         """

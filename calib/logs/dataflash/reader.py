@@ -142,7 +142,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
 
 
 def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> tuple[ParameterTimeline, list[Event]]:
-    """What the log lists and what was set later, what its age implies, and what the vehicle changed by itself."""
+    """Parameters of the log: its list, later settings, what its firmware's age implies, and changes by the vehicle."""
     entries = list(parameter_entries(log, clock))
     if whole:
         listed = {entry.name: entry.value for entry in entries}

@@ -28,7 +28,7 @@ LONGEST: Final = 256
 
 @dataclass
 class Index:
-    """What a scan found.
+    """Result of a scan.
 
     Parameters
     ----------

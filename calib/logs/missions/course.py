@@ -136,7 +136,7 @@ def durations(mission: LoggedMission, speed: float) -> tuple[float, ...]:
 
 
 class _Course:
-    """Where a vehicle is after each item."""
+    """Position of a vehicle after each item."""
 
     def __init__(self, home: Place, speed: float) -> None:
         self._home, self._speed = home, speed

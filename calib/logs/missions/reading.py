@@ -142,7 +142,7 @@ def _rows(table: Table) -> Iterator[tuple[int, MissionItem, int]]:
 
 
 def _flight_start(log: Log) -> int | None:
-    """Where in the file the mission's flight begins; None: not said."""
+    """Byte offset in the file where the mission's flight begins; None: the log does not say."""
     armed = _first(log, "ARM", "ArmState", 1)
     if armed is None:
         armed = _first(log, "EV", "Id", ARMED_EVENT)
@@ -260,7 +260,7 @@ def _item(topic: Topic, row: int, place: tuple[float, float]) -> MissionItem:
 
 
 def _exact(topic: Topic, row: int, places: Topic, stamp: int, until: int) -> tuple[float, float]:
-    """Its place as a double, if that was logged while it was flown."""
+    """Its latitude and longitude as doubles if these were logged in its time, else its own float32 ones."""
     latitude, longitude = topic["latitude"][row], topic["longitude"][row]
     if "current.lat" in places and "current.lon" in places:
         when = (places["timestamp"] >= stamp) & (places["timestamp"] < until)

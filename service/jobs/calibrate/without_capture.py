@@ -46,7 +46,7 @@ async def compose_plan(
     jobs: Iterable[Job],
     without_row: Iterable[Key] = (),
 ) -> tuple[Identity, Planned]:
-    """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle.
+    """The vehicle's identity, and a plan on its present parameters. A recording must be of this vehicle (`origin`).
 
     `jobs` and `without_row` are those of :func:`service.jobs.calibrate.planning.make_plan`.
 
@@ -145,7 +145,7 @@ async def require_restorable(vehicle: JobVehicle, history: History) -> None:
 async def compose_restore_plan(
     vehicle: JobVehicle, history: Sequence[VerifiedCalibration], options: Mapping[str, Any]
 ) -> tuple[Identity, Planned]:
-    """Who the vehicle is, and the plan on its present parameters.
+    """The vehicle's identity, and the plan on its present parameters.
 
     Raises
     ------

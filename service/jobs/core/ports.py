@@ -44,7 +44,7 @@ class Alone:
         return self._store
 
     def ended(self, job: Job) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def changed(self) -> None:
         """Do nothing: subscribers in this process have been notified."""

@@ -65,7 +65,7 @@ CANCELLABLE = CAPTURING | {S.FITTING, S.REVIEW}
 
 
 WRITING = frozenset({S.APPLYING, S.WAITING_FOR_REBOOT, S.VERIFYING, S.ROLLING_BACK, S.IN_DOUBT})
-"""States in which parameters of the vehicle may be ours: only the journal tells."""
+"""States in which the vehicle may hold parameters of the job; the journal says which."""
 
 
 PHYSICAL = CAPTURING | {S.FITTING} | WRITING
@@ -73,7 +73,7 @@ PHYSICAL = CAPTURING | {S.FITTING} | WRITING
 
 
 ENDED = frozenset({S.SUCCEEDED, S.REVERTED, S.FAILED, S.CANCELLED, S.INTERRUPTED})
-"""States in which nothing goes on by itself."""
+"""States in which the job waits for a person or has ended."""
 
 
 def may_follow(state: JobState, to: JobState) -> bool:

@@ -36,7 +36,7 @@ def _key(name: str, default: float) -> Any:
 
 @dataclass(frozen=True)
 class Frame:
-    """What a frame file holds; each field has SITL's key in its metadata. Units: SI, deg where SITL has degrees."""
+    """Contents of a frame file; each field has SITL's key in its metadata. Units: SI, deg where SITL has degrees."""
 
     mass: float = _key("mass", 3.0)
     diagonal_size: float = _key("diagonal_size", 0.35)
