@@ -2,90 +2,52 @@
 
 Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
 offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models
-with and without the term are compared on parts of the flight that neither saw (:mod:`calib.mag.motor_hidden`): the
-term must bring every part nearer, by the attitude of the gyroscope and by that of the log.
+with and without the term (:mod:`calib.mag.motor_candidates`) are compared on parts of the flight that neither saw
+(:mod:`calib.mag.motor_hidden`): the term must bring every part nearer, by the attitude of the gyroscope and by that of
+the log.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
-from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, prepared, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
+from mavcal.calib.mag.motor_candidates import (
+    BY_GYROSCOPE,
+    LEAST_GAIN,
+    LEAST_HEADING,
+    Candidate,
+    candidates_of,
+    chosen_of,
+    gain_of,
+    gains_of,
+    improves_prediction,
+    unknown_share,
+)
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
-from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log, unusable_attitude
-from mavcal.calib.mag.motor_text import disagreement, terms_text
+from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, unusable_attitude
 from mavcal.calib.mag.result import CompassFit, MagContext, MagFacts, compass_result
 from mavcal.calib.recording import Array, Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 MOVEMENT = "record from before the motors start, then hover, climb and descend, so that the current changes"
-_LEAST_GAIN = 0.1  # of the residual of hidden samples: less is not worth a parameter
 _LEAST_TIME = 40.0  # s: hidden stretches of some length, and enough left to fit
-_TINY = 1e-12  # of a squared residual
-_SIGNIFICANT = 4.0  # standard deviations of the term
-_LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is not worth a parameter
-BY_GYROSCOPE, BY_LOG = "gyroscope", "log"
-"""Attitudes by which hidden samples are predicted: the gyroscope's, and the log's own."""
 _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no better known is not determined
 _LOG_ROUGH = 0.3  # of the field, with an attitude that says nothing to a compass
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
 _ROUGHEST = 0.3  # of the field, left of the fit without motors: nothing beside it is told
+_DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _MOVES = {DriveKind.CURRENT: 3.0, DriveKind.THROTTLE: 0.2, DriveKind.MOTORS: 0.2}
 """A, and of the range: what moves less hardly changes."""
-_SOFT_IRON_SD = 0.05
-"""Prior of the matrix beside the one in force: a nuisance here."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A fit of the motor term against one drive signal, with its prediction errors on held-out stretches."""
-
-    drive: Drive | None
-    found: FlightEstimate
-    hidden: Hidden
-    """By the gyroscope, which carries the attitude through."""
-    log: LogFit | None = None
-    """By the log's attitude, taken for the truth; None: there is none."""
-
-    @property
-    def kind(self) -> str:
-        """Its name; ``none`` without a drive."""
-        return "none" if self.drive is None else str(self.drive.kind)
-
-    @property
-    def score(self) -> float:
-        """Mean square prediction error over all held-out samples."""
-        return self.hidden.rms**2
-
-    @property
-    def hidden_rms(self) -> float:
-        """Root mean square prediction error, in the sensor's unit."""
-        return self.hidden.rms
-
-    @property
-    def term(self) -> Array:
-        """K (3, p), sensor's unit per unit of the drive, body axes, before the correction in force."""
-        count = 0 if self.drive is None else len(self.drive.numbers)
-        return np.asarray(self.found.x[self.found.layout.motor][: 3 * count].reshape(-1, 3).T)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the term (3 p, 3 p), drive by drive."""
-        size = self.term.size
-        motor = self.found.layout.motor
-        return np.asarray(self.found.solved.covariance[motor, motor][:size, :size])
 
 
 def fit_motor(
@@ -136,7 +98,7 @@ def fit_motor(
     if reason:
         return _refusal(context, len(mag), f"{reason}; {MOVEMENT}")
     try:
-        candidates = _candidates(mag, turning, drives, in_force, window, context)
+        candidates = candidates_of(mag, turning, drives, in_force, window, context)
     except UndeterminedError as error:
         return _refusal(context, len(mag), f"{error}; {MOVEMENT}")
     return _verdict(candidates, plain, in_force or TriadModel(), context, len(mag))
@@ -146,107 +108,10 @@ def _refusal(context: MagContext, count: int, message: str, **quality: Any) -> F
     return context.made(METHOD, count).refused(message, (), quality=quality)
 
 
-def _candidates(
-    mag: Channel,
-    turning: Turning,
-    drives: Sequence[Drive],
-    in_force: TriadModel | None,
-    window: float,
-    context: MagContext,
-) -> list[Candidate]:
-    """The fit without a term, then one a drive, all of the same samples."""
-    known = np.ones(len(mag), dtype=bool)
-    for drive in drives:
-        known &= np.isfinite(drive.columns(mag.t)).all(axis=1)
-    mag = mag.take(known)
-    found = []
-    every: tuple[Drive | None, ...] = (None, *drives)
-    for tried in every:
-        data = prepared(mag, turning, in_force, tried, window, context)
-        reason = unusable(data)
-        if reason:
-            raise UndeterminedError(reason)
-        fit = estimate(data.samples, data.turning, Knowledge(context.field, _SOFT_IRON_SD))
-        found.append((tried, data, fit))
-    return [_judged(drive, data, fit, _gain(data, in_force or TriadModel()), context) for drive, data, fit in found]
-
-
-def _judged(drive: Drive | None, data: FlightInput, fit: FlightEstimate, gain: Array, context: MagContext) -> Candidate:
-    """The candidate with what it predicts of hidden samples by either attitude."""
-    alone = Candidate(drive, fit, by_gyroscope(data, fit))
-    return dataclasses.replace(alone, log=by_log(data, drive, (gain @ alone.term).T, gain, context))
-
-
-def _gain(data: FlightInput, in_force: TriadModel) -> Array:
-    """The correction in force (3, 3) of body axes: what it makes of a field at the sensor."""
-    return np.asarray(in_force.matrix @ data.sensor_from_body)
-
-
-def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
-    """Whether hidden blocks prefer `better` by `sure` standard errors; by logarithms, so that each counts alike."""
-    gains = np.log(np.maximum(worse.hidden.scores, _TINY)) - np.log(np.maximum(better.hidden.scores, _TINY))
-    return float(gains.mean()) > sure * float(gains.std(ddof=1)) / math.sqrt(len(gains))
-
-
-def _chosen(candidates: Sequence[Candidate]) -> Candidate:
-    """The simplest of those that are as good as the best, of those that hidden samples want at all."""
-    none = candidates[0]
-    wanted = [c for c in candidates[1:] if _improves_prediction(c, none)]
-    if not wanted:
-        return none
-    best = min(wanted, key=lambda c: c.score)
-    return next(c for c in wanted if c is best or not _beats(best, c, 1.0))
-
-
-def _improves_prediction(candidate: Candidate, none: Candidate) -> bool:
-    """Whether the term improves held-out prediction over all blocks, and in every part by either attitude."""
-    enough = candidate.hidden_rms < (1.0 - _LEAST_GAIN) * none.hidden_rms
-    return enough and _beats(candidate, none, SURE) and _matters(candidate) and not _unhelped(candidate, none)
-
-
-def _unhelped(candidate: Candidate, none: Candidate) -> list[str]:
-    """The attitudes by which the term does not bring every part of the flight nearer, beyond its uncertainty."""
-    return [who for who, gains, sds in _gains(candidate, none) if not (gains > SURE * sds).all()]
-
-
-def _gains(candidate: Candidate, none: Candidate) -> list[tuple[str, Array, Array]]:
-    """Gains of each attitude: decrease of the error of every part (S,), and its sd (S,)."""
-    found = [(BY_GYROSCOPE, *candidate.hidden.gains_over(none.hidden))]
-    if candidate.log is not None and none.log is not None:
-        found.append((BY_LOG, *candidate.log.hidden.gains_over(none.log.hidden)))
-    return found
-
-
-def _matters(candidate: Candidate) -> bool:
-    """Whether the term is more than its uncertainty, and turns a heading."""
-    drive = candidate.drive
-    if drive is None:
-        return False
-    field = candidate.found.x[candidate.found.layout.field]
-    horizontal = max(math.hypot(float(field[0]), float(field[1])), 1e-3 * float(np.linalg.norm(field)))
-    effect = float((np.linalg.norm(candidate.term, axis=0) * drive.range).max())
-    return effect > _LEAST_HEADING * horizontal and _sds(candidate) > _SIGNIFICANT
-
-
-def _sds(candidate: Candidate) -> float:
-    """Standard deviations by which each number of the term differs from zero."""
-    term = candidate.term.T.ravel()
-    return math.sqrt(max(float(term @ np.linalg.solve(candidate.covariance, term)), 0.0) / len(term))
-
-
-def _unknown(candidate: Candidate) -> float:
-    """Uncertainty of the term over the range of its drive, relative to the field."""
-    if candidate.drive is None:
-        return 0.0
-    sd = np.sqrt(np.diag(candidate.covariance)).reshape(-1, 3)
-    strength = float(np.linalg.norm(candidate.found.x[candidate.found.layout.field]))
-    return float((sd.max(axis=1) * candidate.drive.range).max()) / strength
-
-
 def _verdict(
     candidates: list[Candidate], data: FlightInput, in_force: TriadModel, context: MagContext, count: int
 ) -> FitResult:
-    none, chosen = candidates[0], _chosen(candidates)
+    none, chosen = candidates[0], chosen_of(candidates)
     quality = _quality(candidates, chosen, context)
     lost = unusable_attitude(data, none.found, in_force, context)
     if lost and chosen is none:
@@ -261,9 +126,9 @@ def _verdict(
             "that it reads the Earth's field (mavcal inspect)",
             **quality,
         )
-    if chosen is none and min(_unknown(c) for c in candidates[1:]) > _UNKNOWN:
+    if chosen is none and min(unknown_share(c) for c in candidates[1:]) > _UNKNOWN:
         return _refusal(context, count, f"{_why_unknown(candidates[1:])}: {MOVEMENT}", **quality)
-    best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
+    best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.hidden.rms)
     native = _native(candidates, chosen, data, in_force, context)
     return compass_result(
         CompassFit(
@@ -285,7 +150,7 @@ def _verdict(
 
 def _why_unknown(candidates: Sequence[Candidate]) -> str:
     """Reason why the motors' field is not determined: their drive hardly changes, or other things change with it."""
-    best = min(candidates, key=_unknown)
+    best = min(candidates, key=unknown_share)
     assert best.drive is not None
     moved, least = float(best.drive.range.max()), _MOVES[best.drive.kind]
     if moved < least:
@@ -293,7 +158,7 @@ def _why_unknown(candidates: Sequence[Candidate]) -> str:
     unit = " A" if best.drive.kind == DriveKind.CURRENT else ""
     return (
         f"the field of the motors cannot be told from offset and turns: {best.kind} moved by {moved:.2g}{unit}, and "
-        f"what it does is known to {_unknown(best):.0%} of the field only"
+        f"what it does is known to {unknown_share(best):.0%} of the field only"
     )
 
 
@@ -324,7 +189,7 @@ def _quality(candidates: Sequence[Candidate], chosen: Candidate, context: MagCon
         "n_outliers": len(weights) - found.used,
         "heading_sd_deg": math.degrees(math.sqrt(max(variance, 0.0)) / horizontal),
         "heading_dip_deg": math.degrees(math.atan2(float(field[2]), horizontal)),
-        "held_out_rms": {c.kind: c.hidden_rms for c in candidates},
+        "held_out_rms": {c.kind: c.hidden.rms for c in candidates},
         "held_out_blocks": len(chosen.hidden.scores),
         "radius": float(np.linalg.norm(field)),
     }
@@ -334,15 +199,15 @@ def _native(
     candidates: Sequence[Candidate], chosen: Candidate, data: FlightInput, in_force: TriadModel, context: MagContext
 ) -> dict[str, Any]:
     none = candidates[0]
-    gain = _gain(data, in_force)
+    gain = gain_of(data, in_force)
     offset = chosen.found.x[OFFSET] - data.offset_in_force
     strength = float(np.linalg.norm(chosen.found.x[chosen.found.layout.field]))
     drive = chosen.drive
     return {
         "proposed": drive is not None,
         "drive": None if drive is None else str(drive.kind),
-        "held_out_rms_before": none.hidden_rms,
-        "held_out_rms_after": chosen.hidden_rms,
+        "held_out_rms_before": none.hidden.rms,
+        "held_out_rms_after": chosen.hidden.rms,
         **(_term(chosen, none, gain, context) if drive is not None else {}),
         "candidates": {c.kind: _term(c, none, gain, context) for c in candidates[1:]},
         "attitude_trusted": _with_logged_attitude(candidates),
@@ -389,7 +254,7 @@ def _term(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
     term = (gain @ candidate.term).T
     log = candidate.log
     return {
-        "proposed": _improves_prediction(candidate, none),
+        "proposed": improves_prediction(candidate, none),
         "interference": _one_or_all(term),
         "interference_sd": _one_or_all(sd),
         "compensation": _one_or_all(-term),
@@ -397,11 +262,11 @@ def _term(candidate: Candidate, none: Candidate, gain: Array, context: MagContex
         "motors": list(drive.numbers) if drive.kind == DriveKind.MOTORS else None,
         "squared": list(drive.squares) if any(drive.squares) else None,
         "range": drive.range.tolist() if count > 1 else float(drive.range[0]),
-        "held_out_rms": candidate.hidden_rms,
+        "held_out_rms": candidate.hidden.rms,
         "by_log": None
         if log is None
         else {"interference": _one_or_all(log.term), "interference_sd": _one_or_all(log.term_sd)},
-        "gains": {who: {"gain": gains.tolist(), "sd": sds.tolist()} for who, gains, sds in _gains(candidate, none)},
+        "gains": {who: {"gain": gains.tolist(), "sd": sds.tolist()} for who, gains, sds in gains_of(candidate, none)},
     }
 
 
@@ -411,11 +276,11 @@ def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mappin
     else:
         text = (
             f"compensation against {chosen.kind} is proposed: residual of hidden parts of the flight "
-            f"{none.hidden_rms:.3g} -> {chosen.hidden_rms:.3g} {unit} by the gyroscope"
+            f"{none.hidden.rms:.3g} -> {chosen.hidden.rms:.3g} {unit} by the gyroscope"
         )
         if none.log is not None and chosen.log is not None:
             text += f", {none.log.hidden.rms:.3g} -> {chosen.log.hidden.rms:.3g} {unit} by the log's attitude"
-    text += f". The motors add {terms_text(native['candidates'][best.kind])}"
+    text += f". The motors add {_terms_text(native['candidates'][best.kind])}"
     if native["never_calibrated"]:
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
         text += f". This compass was never calibrated: its offset is ({listed}) {unit}"
@@ -424,7 +289,7 @@ def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mappin
 
 def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
     """Conditions that the best drive does not meet."""
-    for who, gains, sds in _gains(best, none):
+    for who, gains, sds in gains_of(best, none):
         if (gains > SURE * sds).all():
             continue
         listed = ", ".join(f"{g:.2g} +- {s:.1g}" for g, s in zip(gains, sds, strict=True))
@@ -434,8 +299,8 @@ def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
             f"every part must gain {SURE:.0f} times its uncertainty"
         )
     return (
-        f"with {best.kind} hidden parts of the flight come from {none.hidden_rms:.3g} to {best.hidden_rms:.3g} {unit}; "
-        f"{100.0 * _LEAST_GAIN:.0f} % and a heading of {math.degrees(_LEAST_HEADING):.1f} deg are worth a parameter"
+        f"with {best.kind} hidden parts of the flight come from {none.hidden.rms:.3g} to {best.hidden.rms:.3g} {unit}; "
+        f"{100.0 * LEAST_GAIN:.0f} % and a heading of {math.degrees(LEAST_HEADING):.1f} deg are worth a parameter"
     )
 
 
@@ -452,10 +317,51 @@ def _warnings(native: Mapping[str, Any], chosen: Candidate, none: Candidate, con
             f"by the log's attitude the field is off by {none.log.rms / strength:.0%} of it: that attitude is unusable "
             "for a compass. Leave it out with --attitude gyro"
         )
-    warnings += disagreement(native, context.unit)
+    warnings += _disagreement(native, context.unit)
     for kind, candidate in native["candidates"].items():
         if kind != native["drive"] and native["proposed"]:
-            warnings.append(f"against {kind} instead, the motors add {terms_text(candidate)}")
+            warnings.append(f"against {kind} instead, the motors add {_terms_text(candidate)}")
     if chosen.drive is not None and chosen.drive.kind == DriveKind.MOTORS:
         warnings.append("motor by motor: what a firmware can store of it is said with the export")
     return tuple(warnings)
+
+
+def _terms_text(term_of_drive: Mapping[str, Any]) -> str:
+    """The motors' field with its sd, by the gyroscope and by the log's attitude."""
+    text = _listed(term_of_drive["interference"], term_of_drive["interference_sd"], term_of_drive)
+    if term_of_drive["by_log"] is None:
+        return text
+    log = _listed(term_of_drive["by_log"]["interference"], term_of_drive["by_log"]["interference_sd"], term_of_drive)
+    return f"{text} by the gyroscope, {log} by the log's attitude"
+
+
+def _listed(term: Sequence[Any], sd: Sequence[Any], term_of_drive: Mapping[str, Any]) -> str:
+    motors, unit = term_of_drive["motors"], term_of_drive["unit"]
+    if motors is None or len(motors) == 1:
+        return f"{_vector(term, sd)} {unit}"
+    squared = term_of_drive["squared"] or [False] * len(motors)
+    each = (
+        f"motor {n}{' squared' if square else ''} {_vector(t, s)}"
+        for n, square, t, s in zip(motors, squared, term, sd, strict=True)
+    )
+    return f"{', '.join(each)} {unit}"
+
+
+def _disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
+    """A warning where the logged attitude gives another motor term than the gyroscope."""
+    trusted = native["attitude_trusted"]
+    if trusted is None:
+        return []
+    ours = native["candidates"][trusted["drive"]]
+    theirs, found, sd = trusted["interference"], ours["interference"], ours["interference_sd"]
+    if float((np.abs(np.subtract(theirs, found)) / sd).max()) <= _DISAGREES:
+        return []
+    return [
+        f"the two attitudes disagree on {trusted['drive']}: the log's finds "
+        f"{_vector(theirs, trusted['interference_sd'])}, the gyroscope's {_vector(found, sd)} {ours['unit']}. "
+        "The log's heading came from a compass, and its corrections pass for the motors' field"
+    ]
+
+
+def _vector(values: Sequence[float], sd: Sequence[float]) -> str:
+    return f"({', '.join(f'{v:.3g} +- {s:.1g}' for v, s in zip(values, sd, strict=True))})"
