@@ -1,4 +1,4 @@
-"""What a preflight can fix by itself: runs and writes calibrations that need no hands, one after the other."""
+"""Fixes of a preflight: runs and writes calibrations that need no hands, one after the other."""
 
 from __future__ import annotations
 

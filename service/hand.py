@@ -24,11 +24,11 @@ from mavcal.service.vehicle.vehicle import Vehicle
 log = structlog.get_logger(__name__)
 
 LOOK_S = 0.5
-"""How often prompts are looked at."""
+"""Period of the look at prompts, s."""
 MOMENT_S = 1.5
 """How long a person reads a new prompt before the hands move."""
 UNIT_WITHIN = 0.01
-"""So far from 1 the length of an attitude may be: its digits were rounded on the way."""
+"""Largest departure of an attitude's length from 1: its digits were rounded on the way."""
 
 
 class SimulatedHands:

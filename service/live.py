@@ -19,11 +19,11 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle
 from mavcal.service.vehicle.vehicle import Vehicle
 
 BATCH_S = 0.1
-"""How often a batch is made, s of the wall's clock."""
+"""Period of the batches, wall seconds."""
 LOSS_S = 10.0
 """Over so long the loss is counted."""
 STALE_BATCHES = 10
-"""After so many batches without it another message is taken for a sensor."""
+"""Batches without the chosen message of a sensor after which another one is taken."""
 SHOWN = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
 
 Quaternion = tuple[float, float, float, float]

@@ -62,11 +62,11 @@ within 13 s in 99."""
 
 
 LOOK_S = 0.5
-"""How often the samples are counted meanwhile."""
+"""Period of the count of samples, s."""
 
 
 AGAIN = 8
-"""After so many looks the streams are asked for again."""
+"""Looks after which the streams are asked for again."""
 
 
 SILENT_ASKS = 6
@@ -75,19 +75,19 @@ that loses every third message both ways, all nine requests are lost once in 50 
 
 
 FIRST_S = 3.5
-"""So long parameters and present rates are read before the streams begin; a rate not heard counts as the default."""
+"""Time for parameters and present rates before the streams begin, s; a rate not heard counts as the default."""
 
 
 DEMANDS, DEMAND_S = 3, 0.3
-"""How often the streams are asked for, s apart: a link that loses every third message carries one of the three."""
+"""Number of requests for the streams, and s between them: a link that loses every third message carries one."""
 
 
 IDENTIFY_S = 2.0
-"""So long a vehicle is asked who it is, if that is not known yet."""
+"""Longest wait for the identity of a vehicle that is not identified yet, s."""
 
 
 ANSWER_S = 1.5
-"""So long the vehicle's answer to a second request is waited for, and then its texts and its SYS_STATUS, 2 a second."""
+"""Wait for the answer to a second request, and again for texts and SYS_STATUS (two a second), s."""
 
 
 RESTORE_S = 1.0
@@ -105,7 +105,7 @@ class Preflight:
     report: Report
     notes: tuple[str, ...] = ()
     readings: tuple[RestReading, ...] = ()
-    """What the inertial units read, for the fleet."""
+    """Readings of the inertial units at rest, for the fleet."""
 
 
 @dataclass
@@ -142,7 +142,7 @@ class Preflights:
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
         self._looks: dict[str, asyncio.Task[Preflight]] = {}
-        """Those that give way."""
+        """Looks that give way to a preflight or a job, by vehicle."""
 
     def require_idle(self, vehicle_id: str) -> None:
         """Raise PreflightRunning while a preflight of this vehicle runs; a look without a request is ended instead."""

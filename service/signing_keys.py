@@ -20,7 +20,7 @@ FILE = "signing-keys.json"
 DEFAULT = "default"
 """Name of `mavlink.signing_key`, which signs every link that names no key."""
 UNSIGNED = "none"
-"""What a link names that is not signed although there is a default."""
+"""Name in a link that stays unsigned although there is a default key."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _KEY_BYTES = 32
 

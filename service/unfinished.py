@@ -1,4 +1,4 @@
-"""What earlier runs left unfinished on a vehicle, and the words for it."""
+"""Jobs that earlier runs left unfinished on a vehicle, and sentences on them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Unfinished:
     sent: tuple[Sent, ...]
     """Parameters for which a PARAM_SET may have left, from the journal."""
     standing: tuple[Standing, ...]
-    """What is known of each of them."""
+    """State of each of them as far as it is known."""
     at: float
     """When this state was read, s since 1970; earlier events belong to the run that is over."""
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Logged(StrEnum):
-    """What a log may hold."""
+    """Contents that a log may have."""
 
     ATTITUDE = "attitude"
     POSITION = "position"

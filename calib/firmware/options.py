@@ -195,7 +195,7 @@ PLAN_OPTIONS: Final[Mapping[str, PlanOption]] = MappingProxyType(
 """By name. :attr:`ComposeOptions.unproved_origin` is a fact, not a decision, and no option."""
 
 CONFIRMATIONS: Final = tuple(name for name in PLAN_OPTIONS if name.startswith("confirm_"))
-"""What only the operator can know; the audit keeps who said it."""
+"""Options that confirm what only the operator can know; the audit keeps who did."""
 
 
 def compose_options(data: Mapping[str, Any], **facts: Any) -> ComposeOptions:

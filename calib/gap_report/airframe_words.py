@@ -1,4 +1,4 @@
-"""What a report says of the airframe beside its effects: whence the commands come, how far the prediction improves."""
+"""Sentences of a report on the airframe beside its effects: source of the commands, and gain of the prediction."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def _zero(recording: Recording) -> dict[Key, HealthFinding]:
 
 
 def _zero_throughout(recording: Recording, key: Key) -> HealthFinding | None:
-    """None: the parameters say that there is no such sensor."""
+    """Finding on a sensor that reads zero throughout; None: by the parameters there is no such sensor."""
     text = "reads 0, 0, 0 throughout"
     if _not_installed(recording, key) or (telemetry(recording) and key not in _installed(recording)):
         return None  # a message of two sensors carries zeros for one that is not there

@@ -136,7 +136,7 @@ def temperature_findings(recording: Recording) -> Iterator[HealthFinding]:
 
 
 def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFinding | None:
-    """None: it has no thermometer in the log."""
+    """Finding on the temperature of a unit; None: it has no thermometer in the log."""
     warm = next(iter(recording.find(Sensor.TEMPERATURE, instance)), None)
     channel = None if warm is None else usable(warm)
     if channel is None or not len(channel):

@@ -144,7 +144,7 @@ def _windows(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _of(instance: int, force: Array, vibration: Array, least: float = _SHIFTED) -> Rectified | None:
-    """None: the mean does not move with the vibration, or too little of either is there."""
+    """The shift of the mean force by vibration; None: it does not shift, or there is too little calm or vibration."""
     shaken, calm = force[vibration > _SHAKEN], force[vibration < _CALM]
     if len(shaken) < _SHAKEN_WINDOWS:
         return None

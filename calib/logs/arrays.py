@@ -29,7 +29,7 @@ from mavcal.calib.logs.columns import Array, TableColumns
 MOST_UNFOLDED: Final = 1 << 26, 50
 """Bytes that the columns of a file may take, plus this many times the size of the file."""
 TEXT_BYTES: Final = 64
-"""What a text takes beside its characters."""
+"""Bytes of a text beside its characters."""
 PLAIN_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """How ``numpy.savez`` packs; the others unfold without a bound on a single step."""
 HEADER: Final = 128

@@ -1,4 +1,4 @@
-"""What is in a recording: channels, rates, gaps, ranges, damage."""
+"""Contents of a recording: channels, rates, gaps, ranges, damage."""
 
 from __future__ import annotations
 

@@ -277,7 +277,7 @@ def _residual_variance(found: Pass, tukey_scale: float | None, size: int) -> flo
 
 
 def _contraction(ellipsoid: Ellipsoid, step: Array, variance: float) -> float:
-    """By how much the next step will be shorter: residual times curvature, and the step's own second order."""
+    """Factor by which the next step will be shorter: residual times curvature, and the step's own second order."""
     smallest = float(ellipsoid.radii[0])
     return min(1.0, 3.0 * (float(np.sqrt(variance)) + float(np.abs(step).max())) / smallest)
 

@@ -27,7 +27,7 @@ MOVEMENT = "for those turn the vehicle through all directions (job mag), or fly 
 TILT_SD = math.radians(0.3)
 """How well a calibrated accelerometer tells roll and pitch. Chosen, not measured: 0.05 m/s2 across gravity."""
 KEPT_SD = 0.02
-"""How much the entries of a once fitted matrix may be off. Chosen, not measured: what batteries change on board."""
+"""Error of the entries of a matrix that was fitted once. Chosen, not measured: what batteries change on board."""
 NEVER_FITTED_SD = 0.05
 """The same of a matrix that never was: soft iron costs 3 to 9 % of the field (:mod:`calib.mag.simple_fits`)."""
 

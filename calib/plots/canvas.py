@@ -1,4 +1,4 @@
-"""What every picture shares: its size, its colours, its units, and how many samples it shows."""
+"""Common part of every picture: size, colours, units, and the number of samples shown."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
 PALE: Final = ("#a9cae4", "#eecdad", "#cfbfe4")
 """The same axes before."""
 RULE: Final = "#6b7a86"
-"""What is expected."""
+"""Colour of what is expected."""
 MOST: Final = 4000
 """Samples that are drawn; a recording has many more than a picture has dots."""
 WIDTH, HEIGHT = 520, 340

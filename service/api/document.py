@@ -18,9 +18,9 @@ Json = dict[str, Any]
 
 KEYED = "/api/v1"
 OPEN = frozenset({"/healthz", "/readyz", "/register_service", "/problems/{code}"})
-"""What is told without a key."""
+"""Paths that are served without a key."""
 ERROR_SCHEMAS = ("HTTPValidationError", "ValidationError")
-"""What FastAPI would document instead of the problems that are answered."""
+"""Schemas of FastAPI in place of the problems that are answered."""
 REF = "#/components/schemas/{model}"
 
 TAGS = {
@@ -52,7 +52,7 @@ STREAMS = {
     "follow_samples": "LiveMessage",
     "follow_events": "Message",
 }
-"""What each message of an event stream is; its lines `event`, `id` and `data` are the fields of the schema."""
+"""Schema of the messages of each event stream; its fields are the lines `event`, `id` and `data`."""
 
 
 HEADERS = {

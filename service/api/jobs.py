@@ -48,9 +48,9 @@ from mavcal.service.unfinished import unfinished
 log = structlog.get_logger(__name__)
 
 LOOK_S = 0.5
-"""How often vehicles and links are looked at."""
+"""Period of the look at vehicles and links, s."""
 STEADY = {"received", "lost", "loss", "bytes_per_s", "evidence", "crc_errors"}
-"""What moves all the time and is told only along with something else."""
+"""Fields that change all the time: by themselves they make no event."""
 
 Name = tuple[str, str]
 """`vehicle` or `link`, and its id."""

@@ -1,4 +1,4 @@
-"""What every answer gets: a request id, security headers, and the refusal of foreign origins before any route."""
+"""Gives every answer a request id and security headers, and refuses foreign origins before any route."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LARGEST_REQUEST_BYTES = 2**20
 UPLOADS = "/recordings"
 LEAST_BYTES_PER_S = 1000
 CLOSE = {"Connection": "close"}
-"""What is left of the body is not read."""
+"""Header of an answer after which the rest of the body is not read."""
 STREAMS = ("/events", "/stream", "/samples")
 """Event streams end so."""
 

@@ -227,7 +227,7 @@ def require(scope: Scope, *, noted: bool = True) -> Callable[[Request], Awaitabl
 
 READ, OPERATE = Depends(require(Scope.READ)), Depends(require(Scope.OPERATE))
 WRITE, ADMIN = Depends(require(Scope.WRITE_PARAMS)), Depends(require(Scope.ADMIN))
-"""What a route names among its `dependencies`: the scope that a key must have."""
+"""Dependencies of routes: the scope that a key must have."""
 
 
 def _actor(request: Request) -> str:
@@ -243,7 +243,7 @@ def _sight(request: Request) -> Sight:
 
 
 SightDep = Annotated[Sight, Depends(_sight)]
-"""What who asks may see."""
+"""The part of the fleet that the request's key may see."""
 
 ActorDep = Annotated[str, Depends(_actor)]
 """Who asks, for the audit record; not for addresses that take tickets, which are good once."""

@@ -128,7 +128,7 @@ def review_model(job: Job, review: Review) -> ReviewModel:
 
 
 _PROMPT: Json = {"taken": False, "tilts": [], "unfinished": "", "silence": None}
-"""What prompts of before did not say; they are replayed to who asks for old events."""
+"""Fields that older prompts lack; these are replayed to clients that ask for old events."""
 
 
 def event_model(event: EventRow) -> Json:

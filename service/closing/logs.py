@@ -49,7 +49,7 @@ def _logs(folder: Path, below: list[Path]) -> list[Path]:
 
 
 def logged_bytes(folder: Path) -> int:
-    """How much the simulator has logged so far; 0 where nothing is to be seen."""
+    """Bytes that the simulator has logged so far; 0 where there is no log yet."""
     found = _logs(folder, [file for file in folder.rglob("*") if file.suffix.lower() in _ENDINGS])
     return max((file.stat().st_size for file in found), default=0)
 

@@ -40,7 +40,7 @@ _LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
 of ArduPilot writes many times a second."""
 
 OnProgress = Callable[[str, float, float | None], None]
-"""What is being done, the part of it that is done (0..1), and the seconds that are left, None if nobody knows."""
+"""Called with the present step, its progress (0..1), and the seconds left (None: not known)."""
 
 
 class Diagnose(Protocol):

@@ -12,7 +12,7 @@ from mavcal.service.closing.errors import MissionLeft, SimulatorUnarmed
 from mavcal.service.closing.mission import Leg, Mission
 
 VELOCITY_EVERY_S, LEAN_EVERY_S = 0.1, 0.02
-"""How often a target is repeated, s of the vehicle: it must not time out, and a doublet's edges must be sharp."""
+"""Period of a repeated target, s of the vehicle: it must not time out, and a doublet's edges must be sharp."""
 ARM_S = 150.0
 """Vehicle seconds for arming: estimators of simulators need some 40."""
 _OBEY_S = 0.4

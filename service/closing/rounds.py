@@ -1,4 +1,4 @@
-"""What a round measured, and whether there is another one."""
+"""Result of a round, and whether another one follows."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RoundResult:
     not_tested: tuple[str, ...] = ()
     """Why the airframe, or anything at all, could not be compared."""
     notes: tuple[str, ...] = ()
-    """What its log lacked and how it was flown again, and what is in doubt where nothing is named."""
+    """Notes on gaps of its log and flights again, and doubts where no effect is named."""
 
     @property
     def left(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What is set in the simulator: parameters and keys of its frame file, given, then patched round by round."""
+"""Settings of the simulator: parameters and keys of its frame file, given first, then patched by each round."""
 
 from __future__ import annotations
 

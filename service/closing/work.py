@@ -25,7 +25,7 @@ from mavcal.service.closing.settings import SimSettings
 SCHEMA = "closing/1"
 PROGRESS, FLOWN, ROUND, DIAGNOSIS = "progress.json", "flown.json", "round.json", "diagnosis.json"
 _UNSAID = {"mission": MissionKind.STANDARD.value}
-"""What folders of earlier versions do not say of their loop."""
+"""Identity of a loop as far as folders of earlier versions do not state it."""
 
 
 class WorkFolder:

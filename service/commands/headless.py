@@ -1,4 +1,4 @@
-"""What the commands share that run a job without a panel: find the vehicle, follow a job, stop in an orderly way."""
+"""Common part of the commands that run a job without a panel: find the vehicle, follow the job, stop in order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ QUIET_S = 3.0
 DOUBT_S = 120.0
 """How long a job in doubt is waited for; the next run on this data directory goes on with it."""
 LOOK_S = 0.05
-"""How often it is asked whether a vehicle has been heard."""
+"""Period of the question whether a vehicle has been heard, s."""
 PAGE = 1000
 """Jobs of a page, at most."""
 

@@ -39,7 +39,7 @@ class JobWish:
     reboot: bool = False
     as_json: bool = False
     revert: bool = False
-    """What the job has written is taken back."""
+    """Whether what the job has written is taken back."""
 
 
 def run_job(whom: Whom, begin: Begin, wish: JobWish, job_id: str | None = None) -> int:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mavcal.service.core import Service
 
 SWITCH_S = 0.001
-"""After so long a thread that reads a link lets the event loop go on; Python's 5 ms add up where links are many."""
+"""Time slice of the threads that read links, s: Python's 5 ms add up where links are many."""
 
 
 @click.command()

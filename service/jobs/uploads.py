@@ -117,7 +117,7 @@ MOST_FITS_KEPT = 1000
 
 
 MOST_STARTS = 3
-"""So often a job is begun whose service stops meanwhile: it may be the job that stops it."""
+"""Starts, at most, of a job during which the service stops: the job may be what stops it."""
 
 
 STEPS = 2

@@ -1,4 +1,4 @@
-"""What ArduPilot sends: its messages, and the streams that carry them.
+"""Messages of ArduPilot, and the streams that carry them.
 
 `ArduPilotReadings` are the sensors at the instants of one tick, converted once for all messages that carry them.
 """

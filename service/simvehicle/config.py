@@ -1,4 +1,4 @@
-"""What a simulated vehicle is: one frozen configuration, read from a dict or a JSON file."""
+"""Configuration of a simulated vehicle, frozen, read from a dict or a JSON file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SimAutopilot(StrEnum):
 
 
 class Calibration(StrEnum):
-    """What the parameters say of the sensors when the vehicle is started for the first time."""
+    """Calibration in the parameters of a vehicle that is started for the first time."""
 
     EARLIER = "earlier"  # near the truth, as of a calibration some time ago
     FRESH = "fresh"  # the truth, as of a calibration just now

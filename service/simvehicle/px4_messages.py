@@ -1,4 +1,4 @@
-"""What PX4 sends: its messages, the streams that carry them, and those that nobody has to ask for.
+"""Messages of PX4, the streams that carry them, and those that it sends unasked.
 
 `Px4Readings` are the sensors at the instants of one tick, converted once for all messages that carry them.
 """

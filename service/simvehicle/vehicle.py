@@ -1,4 +1,4 @@
-"""What the two personalities share: vehicle time, an agenda, channels with their streams, identity, arming."""
+"""Common part of both firmwares: vehicle time, an agenda, channels with their streams, identity, arming."""
 
 from __future__ import annotations
 

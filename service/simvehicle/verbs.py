@@ -1,4 +1,4 @@
-"""What the control channel can do to a simulated vehicle, and tell about it."""
+"""Requests on the control channel of a simulated vehicle: what moves or disturbs it, and its state."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ class SimWorld:
         self.current = Ramp()
         self.shaking = VibrationState()
         self.added: dict[tuple[str, int], Array] = {}
-        """What a fault adds to a reading, in the sensor's frame: by "accels", "gyros" or "mags", and instance."""
+        """Offset that a fault adds to a reading, in the sensor's frame, by "accels", "gyros" or "mags" and instance."""
         self.bends: dict[int, Array] = {}
         """How the mount of a compass is bent: a rotation in the body frame."""
         self.field = np.asarray(config.field_ned_ut)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from mavcal.service.vehicle.vehicle import Vehicle
 
 START_S = 5.0
-"""So long the first sample is waited for: a vehicle was seen to begin .97 s after it was asked, and may be busier."""
+"""Longest wait for the first sample, s: a vehicle was seen to begin 0.97 s after it was asked, and may be busier."""
 OTHERS_S = 3.0
-"""So long after the first sample of any stream the others may begin."""
+"""Longest delay of a stream behind the first sample of any other, s."""
 LONGEST_S = 10.0
 """A stream whose stamps go on too slowly is watched for no longer than this after the first sample."""
 _LOOK_S = 0.05
@@ -80,7 +80,7 @@ class Watch:
         self.meters = {message_id: Meter() for message_id in message_ids}
         self._vehicle = vehicle
         self._link = vehicle.link
-        """Whose losses count, also where another one comes into use meanwhile."""
+        """Link whose losses count, also where another one comes into use meanwhile."""
         self._began: tuple[float, LinkStatistics] | None = None
 
     @property

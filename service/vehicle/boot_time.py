@@ -13,7 +13,7 @@ from mavcal.calib.wire.frames import Frame
 
 _BACK_S = 1.0
 _BACK_COUNT = 3
-"""So many messages in a row from before are a reboot; fewer are late ones."""
+"""Older stamps in a row that mean a reboot; fewer are late messages."""
 _KEPT = 8
 _APART_S = 0.2
 """Stamps that are kept for comparison lie so far apart at least."""

@@ -16,7 +16,7 @@ from mavcal.service.vehicle.boot_time import BootClock
 from mavcal.service.vehicle.state import SILENT_S
 
 AWAY_S = 3.0
-"""After so long without a frame the vehicle may have restarted unseen."""
+"""Silence of a link, s, in which the vehicle may have restarted unseen."""
 
 
 class LinkChannel:

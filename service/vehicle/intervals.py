@@ -32,7 +32,7 @@ ANSWER_S, ANSWER_LEAST_S = 1.0, 0.5
 ROUNDED = 0.1
 """Firmwares round intervals: an interval in force may differ by this share."""
 _DIFFERENT = 2
-"""After so many answers with another interval a message is asked for alone: it is refused, or slowed down."""
+"""Answers with another interval after which a message is asked for alone: it is refused, or slowed down."""
 _INTERVAL, _ACK = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL, dialect.MAVLINK_MSG_ID_COMMAND_ACK
 _REFUSED = -1
 _Question = tuple[int, tuple[float, ...]]

@@ -45,7 +45,7 @@ class Condition:
     silent: bool
     """No heartbeat for 3 s, by what the reader of the link has read: a late event loop is no silence."""
     reboots: int
-    """How often it was seen to restart since it was first heard."""
+    """Number of restarts seen since it was first heard."""
     calibrating: bool
     """It runs an onboard calibration."""
     obstacles: tuple[str, ...]
@@ -59,7 +59,7 @@ class Condition:
     boot_time: float | None = None
     """Its own clock, s since its start; None: it has not said."""
     armings: int = 0
-    """How often it armed since it was first heard; the next two likewise."""
+    """Number of times it armed since it was first heard; the next two likewise."""
     silences: int = 0
     calibrations: int = 0
 

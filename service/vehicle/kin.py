@@ -15,9 +15,9 @@ from mavcal.service.vehicle.identity import Autopilot, VehicleIdentity
 from mavcal.service.vehicle.vehicle import Vehicle
 
 WAIT_S = 10.0
-"""So long an identity is waited for before a vehicle at an address that is known on another link counts as another."""
+"""Longest wait for an identity, s; a vehicle at an address known on another link then counts as another one."""
 CLOCK_S = 6.0
-"""So long the clocks are waited for where the unique ids are one: some firmwares tell none."""
+"""Longest wait for the clocks where the unique ids are equal, s: some firmwares send no time."""
 APART_S = 10.0
 """Two clocks that contradict each other for so long are those of two vehicles; after a restart they differ for less."""
 _AGAIN_S = 10.0

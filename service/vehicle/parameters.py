@@ -95,7 +95,7 @@ class Parameters(Mapping[str, Parameter]):
         self._listeners: dict[object, ParameterListener] = {}
         self._jitter = 0.0
         self._asked: Counter[str] = Counter()
-        """What is being asked for, and by how many."""
+        """Number of readers that ask for each parameter now."""
         self.count: int | None = None
         """Length of the vehicle's list, as last said."""
         self.hash: bytes | None = None

@@ -22,7 +22,7 @@ from mavcal.service.vehicle.streams import follow
 from mavcal.service.vehicle.vehicle import YIELD_S, Vehicle
 
 TICK_S = 0.05
-"""How often time passes for a vehicle that an answer is waited for from."""
+"""Period of the ticks of a vehicle from which an answer is waited for, s."""
 IDLE_TURNS = 5
 IDLE_S = IDLE_TURNS * TICK_S
 """For any other one: only silence and old states are noticed then. By the clock, not by turns: a late event loop has
@@ -58,7 +58,7 @@ class VehicleRegistry:
         self._kin = Kin(clock)
         self._ticker: asyncio.TimerHandle | None = None
         self._turns: list[tuple[int, tuple[str, int, int]]] = []
-        """Whose turn is still to come in this round, numbered."""
+        """Vehicles whose tick in this round is still to come, numbered."""
         self._period: dict[tuple[str, int, int], int] = {}
         """In which of its periods of :data:`IDLE_S` each vehicle had its last turn; they begin at different times."""
 

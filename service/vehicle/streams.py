@@ -41,12 +41,12 @@ _ASKS, _ASKS_IDLE = 4, 2
 """An answer may be late once by chance; if the quickest of so many is late, something stands before it."""
 _HARDLY = 0.7
 _DRAIN_ASKS = 6
-"""So often a full buffer is given the time of one answer to empty."""
+"""Answers, at most, that a full buffer is given time to empty for."""
 MOST_CUTS = 3
 MEASURE_S = 2.0
 """How long streams are watched, by the vehicle's own time stamps, before anything is concluded from them."""
 FRESH_S = 60.0
-"""What a slow link was seen to carry counts twice as much with each such time that it was not measured again."""
+"""Time, s, in which the assumed capacity of a slow link doubles while it is not measured again."""
 REMEMBERED_S = 600.0
 """After this time nothing is known of a link."""
 

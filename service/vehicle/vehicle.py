@@ -98,7 +98,7 @@ class Vehicle:
         self.settled = False
         """Whether it was decided which unit this is: until then it may be one that is known on another link."""
         self.undecided = ""
-        """What is to be decided still, in a sentence: nothing is written meanwhile."""
+        """Sentence on the open decision; empty: there is none. Nothing is written while one is open."""
         self.joined: Vehicle | None = None
         """The vehicle that this one turned out to be, over another link."""
         self.gone = False

@@ -22,11 +22,11 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.recording import Channel, ParameterEntry, Recording, join
 
 READ_EVERY_S: Final = 2.0
-"""How often a job reads the offsets, s of the vehicle's clock."""
+"""Period of a job's reading of the offsets, s of the vehicle's clock."""
 HOLD_S: Final = 5.0
 """How long samples wait for the reading after them, s: two readings, and the time that one takes."""
 REGULAR: Final = 3
-"""So many readings of the value known before show that the offsets are read regularly, not only told."""
+"""Readings of a known value that show that the offsets are read regularly, and not sent on a change alone."""
 _PX4_SAYS: Final = re.compile(r"^\[vehicle_magnetometer\] (\d+) \(\d+\) EST:\d+ offset: ")
 """PX4 stores what its estimator learned when it disarms (``VehicleMagnetometer.cpp``): the parameter changes later."""
 _OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ardupilot>[23]?)_[XYZ])$")

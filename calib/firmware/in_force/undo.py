@@ -1,4 +1,4 @@
-"""What the bare sensor measured: a stream with the calibration in force undone (FLIGHT_CONTROLLERS 2.3).
+"""Undoes the calibration in force: the stream as the bare sensor measured it (FLIGHT_CONTROLLERS 2.3).
 
 Between two changes of a parameter one correction is in force. Samples count from the time at which it is known.
 """

@@ -34,7 +34,7 @@ _HIDDEN_DEFAULTS: Final = MappingProxyType(
         ),
     }
 )
-"""What a parameter holds that the firmware does not list yet, where that is not 0 (FLIGHT_CONTROLLERS 1.1-1.4)."""
+"""Values, where not 0, of parameters that the firmware does not list yet (FLIGHT_CONTROLLERS 1.1-1.4)."""
 _INVERTIBLE: Final = 1e6
 """Condition of a correction up to which a stream is undone: one count of it would become a thousand fields."""
 

@@ -44,9 +44,9 @@ WRAP_WINDOW_S: Final = 60.0
 BACKWARD_S: Final = 1.0
 """A stamp this much older than the newest one is late, or the clock has started again."""
 CONFIRMATIONS: Final = 3
-"""So many old stamps in a row are a reboot; fewer are frames that were held up on their way."""
+"""Old stamps in a row that mean a reboot; fewer are frames that were held up on their way."""
 REBOOT_GAP_S: Final = 0.5
-"""What is put between the last time before a reboot and the first one after it; its true length is not known."""
+"""Seconds between the last time before a reboot and the first one after it; the true ones are not known."""
 PARAM_VALUE: Final = dialect.MAVLINK_MSG_ID_PARAM_VALUE
 GAP_S: Final = 1.0
 """An inertial stream that pauses so long gets a "gap" event."""

@@ -32,7 +32,7 @@ LATEST_US: Final = 1_000_000
 BACKWARD_S: Final = 1.0
 """Messages of several threads may be written so little out of order; a longer step back is damage or a restart."""
 CONFIRMATIONS: Final = 5
-"""So many messages in a row behind a step back are a restart; fewer are damage."""
+"""Messages in a row behind a step back that mean a restart; fewer are damage."""
 RESTART_GAP_S: Final = 0.5
 """Seconds assumed between the last time before a restart and the first one after it; the true length is unknown."""
 LONGEST_JUMP_S: Final = 60.0

@@ -25,7 +25,7 @@ from mavcal.calib.logs.missions.items import (
 
 METRES_PER_DEGREE: Final = 111_318.845
 _LEAST_COS: Final = 0.01
-"""Nearer to a pole a degree of longitude is taken as long as here."""
+"""Latitude beyond which a degree of longitude keeps its length."""
 _CLIMB, _SINK, _TOUCH = 1.5, 1.0, 0.4
 """m/s of climbs, of descents, and of the last metres; below what ArduPilot flies with its own defaults."""
 _LAST_M: Final = 10.0

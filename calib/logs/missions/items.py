@@ -16,7 +16,7 @@ INSTEAD: Final = "Fly the standard mission: --mission standard."
 
 
 class Frame(IntEnum):
-    """What an altitude counts from (MAV_FRAME)."""
+    """Datum of an altitude (MAV_FRAME)."""
 
     GLOBAL = dialect.MAV_FRAME_GLOBAL  # sea level
     MISSION = dialect.MAV_FRAME_MISSION  # no place

@@ -49,7 +49,7 @@ from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 from mavcal.service.vehicle.job_vehicle import JobVehicle, read_values
 
 SILENT_S = 5.0
-"""After so long without progress, by the wall clock, a capture says that it waits for samples."""
+"""Time without progress, wall seconds, after which a capture says that it waits for samples."""
 
 
 WAITS = "; waiting for more samples of the vehicle"
@@ -70,9 +70,9 @@ class Capture:
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
     foresee: Callable[[Identity, Mapping[str, Value]], Sequence[str]] = lambda _identity, _parameters: ()
-    """What the parameters alone say of the result; said before anything is asked of the operator."""
+    """Makes the warnings that the parameters alone allow, before anything is asked of the operator."""
     parameters: dict[str, Value] = field(default_factory=dict)
-    """What the job rests on; the calibration is the same before and after the capture."""
+    """Parameters that the job rests on; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
     _reported_at: float = -math.inf
     _disk: DiskFull | None = None

@@ -59,7 +59,7 @@ EARLY_S = 60.0
 
 
 REPEATS = 3
-"""So many times; a vehicle that goes on calibrating is a reason to look at it."""
+"""Repetitions at most; a vehicle that goes on calibrating is a reason to look at it."""
 
 
 KEPT = "What was recorded is kept and can be fitted later; start the job again."

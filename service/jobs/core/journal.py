@@ -24,7 +24,7 @@ SOMEBODY = "somebody else"
 EITHER = "the vehicle itself or somebody else"
 RESTART_MARGIN_S = 5.0
 RESTART_MARGIN = 0.05
-"""By so much, in seconds and as a share, a vehicle must have run for less time than has passed to have restarted."""
+"""Shortfall of a vehicle's time since boot behind the elapsed time that means a restart: s, and as a share."""
 
 
 class JournalStep(StrEnum):

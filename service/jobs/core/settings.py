@@ -53,7 +53,7 @@ class JobSettings:
     preflight_s: float = 6.0
     """Length of a preflight's capture."""
     watch_s: float = 0.1
-    """How often preconditions are looked at while something is under way."""
+    """Period of the look at preconditions while something is under way."""
     retry_s: float = 2.0
     """Between two attempts to resolve a job in doubt."""
     last_save_s: float = 5.0

@@ -27,7 +27,7 @@ from mavcal.service.jobs.write.guard import RESTARTED, WriteGuard
 log = structlog.get_logger(__name__)
 
 NAMED = 3
-"""So many parameters are named in a sentence; `standing` lists them all."""
+"""Parameters named in a sentence, at most; `standing` lists them all."""
 RESOLVE = "Disarm the vehicle and keep it on the ground and in reach: this is then finished or taken back by itself."
 READ_BACK_ONLY = Proof(ProofLevel.NONE, "The old values were read back; no stream was checked.")
 RESULTS: Mapping[JobState, WriteResult] = {

@@ -52,7 +52,7 @@ ATTITUDE_HZ = 10.0
 
 
 PROVING_S = 4.0
-"""What a prompt says of how long a pose is held, s: two looks."""
+"""Time that a prompt asks a pose to be held, s: two looks."""
 
 
 RESTS_WITHIN = 0.6

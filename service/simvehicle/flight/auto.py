@@ -16,7 +16,7 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 _BRAKING = 1.0
 """m/s2 of slowing down towards a place. Chosen: below WPNAV_ACCEL, so that it does not overshoot."""
 _TURN_BEYOND_M = 3.0
-"""Nearer to a place the heading is kept."""
+"""Distance to a place within which the heading is kept."""
 _HEIGHT_OFF_M = 0.7
 
 

@@ -38,7 +38,7 @@ _SIDE_JERK = 15.0
 _VOLTAGE_FILTER_HZ = 0.5
 _DENSITY_LIMITS = (0.5, 1.25)
 _YAW_ROOM = 0.2
-"""What yaw may always have of the range: MOT_YAW_HEADROOM 200."""
+"""Share of the range that yaw may always use: MOT_YAW_HEADROOM 200."""
 
 
 def wrapped(angle: float) -> float:

@@ -1,4 +1,4 @@
-"""What the inertial units read, and what the estimator believes: the truth with slow errors. No filter is run.
+"""Readings of the inertial units, and the estimator's state: the truth with slow errors. No filter is run.
 
 Inertial units have the errors of SIM_*, noise, and the firmware's two-pole low-pass::
 
