@@ -441,7 +441,7 @@ def _reference(table: _Table, sensor: Sensor, t: Array, body: str, world: str) -
 
 def _in_contract_frames(sensor: Sensor, values: Array, body: str, world: str) -> Array:
     if sensor in TRIADS and body == "flu":
-        return values * FRD_FROM_FLU
+        return np.asarray(values * FRD_FROM_FLU)
     return ned_from_frd(values, body=body, world=world) if sensor == Sensor.ATTITUDE else values
 
 

@@ -109,8 +109,7 @@ class DriftData:
 
     def warmed(self, temperature: Array) -> DriftData:
         """The same samples at other temperatures (N,)."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return DriftData(**{**fields, "t": temperature, "limits": None})
+        return dataclasses.replace(self, t=temperature, limits=None)
 
     def lowered(self, shift: Array) -> DriftData:
         """The same with `shift` (N, 3) taken away from every row."""

@@ -8,6 +8,8 @@ import scipy
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware import losses
 from mavcal.calib.firmware.compose.draft import Draft, Subject
+from mavcal.calib.firmware.compose.fitted import keeps_matrix
+from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.rotations import rotation_angle
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Array, Sensor
@@ -56,6 +58,31 @@ def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) 
         draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}", about)
         return False
     return True
+
+
+def compass_usable(draft: Draft, about: Subject, fit: FitResult, stored: str) -> bool:
+    """Whether a compass fit is in uT and whole; `stored` says in which unit the firmware has its offsets."""
+    if fit.unit != "uT":
+        draft.block(f"{about}: the fit is in {fit.unit}; {stored}", about)
+        return False
+    if fit.undetermined and not keeps_matrix(fit):
+        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
+        return False
+    return True
+
+
+def field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses.Parts, limit: str = "") -> bool:
+    """Whether the compass measures about the Earth's field, where that is known; `limit`: the firmware's, in words."""
+    factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
+    low, high = COMPASS_SCALE_WINDOW
+    if fit.quality.get("field_ratio") is None or low <= factor <= high:
+        return True
+    draft.block(
+        f"{about} measures {1.0 / factor:.2f} times the Earth's field{limit}: steel, a magnet or a current is near, or "
+        "the sensor is damaged. Move away and repeat",
+        about,
+    )
+    return False
 
 
 def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:

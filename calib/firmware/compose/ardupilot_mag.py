@@ -18,10 +18,10 @@ import numpy as np
 from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
-from mavcal.calib.firmware.compose.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose.announce import compass_usable, field_plausible, lose_compass_mounting
 from mavcal.calib.firmware.compose.ardupilot_mark import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
-from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw, keeps_matrix
+from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw
 from mavcal.calib.firmware.compose.mounting import (
     MountingRotation,
     ask_for_mounting,
@@ -56,7 +56,7 @@ def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     roles = ardupilot.calibration_names(draft.parameters, Sensor.MAG, about.instance)
-    if not _is_whole(draft, about, fit):
+    if not compass_usable(draft, about, fit, "ArduPilot's offsets are in mGauss"):
         return
     old = body_from_raw(ardupilot.calibration_in_force, roles, draft.parameters, about)
     internal = int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0
@@ -65,7 +65,8 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if new is None:
         return
     parts = losses.split(fit).rotated(new)
-    if not _field_plausible(draft, about, fit, parts):
+    accepted = f"; ArduPilot accepts a factor of {COMPASS_SCALE_WINDOW[1]:g} at most"
+    if not (field_plausible(draft, about, fit, parts, accepted) and _offset_usable(draft, about, parts)):
         return
     _set_values(draft, about, roles, parts)
     lose_compass_mounting(draft, about, fit, old, new)
@@ -78,16 +79,6 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
         about=about,
     )
     _carry_motors(draft, about, roles, fit, parts.symmetric, new @ old.T)
-
-
-def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
-    if fit.unit != "uT":
-        draft.block(f"{about}: the fit is in {fit.unit}; ArduPilot's offsets are in mGauss", about)
-        return False
-    if fit.undetermined and not keeps_matrix(fit):
-        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
-        return False
-    return True
 
 
 def _set_rotation(
@@ -163,16 +154,7 @@ def _free_custom(draft: Draft, about: Subject, own: str) -> int | None:
     return empty[0]
 
 
-def _field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses.Parts) -> bool:
-    factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
-    low, high = COMPASS_SCALE_WINDOW
-    if fit.quality.get("field_ratio") is not None and not low <= factor <= high:
-        draft.block(
-            f"{about} measures {1.0 / factor:.2f} times the Earth's field; ArduPilot accepts a factor of {high:g} at "
-            "most: steel, a magnet or a current is near, or the sensor is damaged. Move away and repeat",
-            about,
-        )
-        return False
+def _offset_usable(draft: Draft, about: Subject, parts: losses.Parts) -> bool:
     length = float(np.linalg.norm(parts.offset)) / UT_PER_MGAUSS
     limit = float(draft.parameters.get("COMPASS_OFFS_MAX", COMPASS_OFFS_MAX))
     if length > limit:

@@ -269,14 +269,13 @@ def _is_news(draft: Draft, autopilot: str, pair: Pair) -> bool:
     about = pair.about
     if pair.absolute is None:
         return False
-    module = ardupilot if autopilot == "ardupilot" else px4
     try:
-        roles = module.calibration_names(draft.parameters, about.sensor, about.instance)
+        roles = NAMES[autopilot](draft.parameters, about.sensor, about.instance)
     except FirmwareError:
         return True
-    offsets = [float(draft.parameters.get(roles[role], 0.0)) for role in OFFSET]
     if autopilot != "ardupilot":
         return False
+    offsets = [float(draft.parameters.get(roles[role], 0.0)) for role in OFFSET]
     if about.sensor != Sensor.GYRO and not any(offsets):  # the firmware takes it as never calibrated
         return True
     name = roles.get(Role.TEMPERATURE, "")

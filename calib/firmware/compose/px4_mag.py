@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware import losses, names
-from mavcal.calib.firmware.compose.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose.announce import compass_usable, field_plausible, lose_compass_mounting
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
-from mavcal.calib.firmware.compose.fitted import Pair, keeps_matrix
+from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.compose.mounting import (
     MountingRotation,
     angle_names,
@@ -25,7 +25,6 @@ from mavcal.calib.firmware.compose.mounting import (
 )
 from mavcal.calib.firmware.compose.px4 import set_row
 from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, placed, representable, row_of, set_vector
-from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
@@ -51,11 +50,7 @@ def compose_magnetometers(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 
 def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
-    if fit.unit != "uT":
-        draft.block(f"{about}: the fit is in {fit.unit}; PX4's offsets are in Gauss", about)
-        return
-    if fit.undetermined and not keeps_matrix(fit):
-        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
+    if not compass_usable(draft, about, fit, "PX4's offsets are in Gauss"):
         return
     roles = row_of(draft, about)
     if not _mounting_as_captured(draft, about, roles):
@@ -68,13 +63,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if after is None:
         return
     parts = losses.split(fit)
-    factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
-    if fit.quality.get("field_ratio") is not None and not COMPASS_SCALE_WINDOW[0] <= factor <= COMPASS_SCALE_WINDOW[1]:
-        draft.block(
-            f"{about} measures {1.0 / factor:.2f} times the Earth's field: steel, a magnet or a current is near, or "
-            "the sensor is damaged. Move away and repeat",
-            about,
-        )
+    if not field_plausible(draft, about, fit, parts):
         return
     wanted = {
         names.OFFSET: Vector(
