@@ -42,8 +42,6 @@ COMMANDS = {
     "config": "Show the settings, or their schema.",
     "doctor": "Check this machine for what the service needs.",
 }
-
-
 ANSWERS = (VehicleError, JobError, LinkDown)
 """Errors that are the answer to what was asked, not a wrong use: the vehicle says no."""
 

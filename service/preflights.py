@@ -45,51 +45,29 @@ from mavcal.service.vehicle.rate_ledger import RateUser
 
 History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 """The verified calibrations of a vehicle, oldest first."""
-
-
 DEADLINE_S = 8.5
 """From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
-
-
 LONGEST_S = 26.0
 """From the start to the last sample on a link that brings them slowly; a client waits for thirty seconds in all."""
-
-
 STILL_S = 15.0
 """From the start to the last sample where a compass reads one value all the time. The quietest part known has 15 nT of
 noise (RM3100, datasheet). Read 10 times a second, it shows a step of 100 nT within 6 s in 97 of 100 simulated cases,
 within 13 s in 99."""
-
-
 LOOK_S = 0.5
 """Period of the count of samples, s."""
-
-
 AGAIN = 8
 """Looks after which the streams are asked for again."""
-
-
 SILENT_ASKS = 6
 """How often, LOOK_S apart, streams are asked for again where a sensor that is announced sends nothing at all. On a link
 that loses every third message both ways, all nine requests are lost once in 50 000 times."""
-
-
 FIRST_S = 3.5
 """Time for parameters and present rates before the streams begin, s; a rate not heard counts as the default."""
-
-
 DEMANDS, DEMAND_S = 3, 0.3
 """Number of requests for the streams, and s between them: a link that loses every third message carries one."""
-
-
 IDENTIFY_S = 2.0
 """Longest wait for the identity of a vehicle that is not identified yet, s."""
-
-
 ANSWER_S = 1.5
 """Wait for the answer to a second request, and again for texts and SYS_STATUS (two a second), s."""
-
-
 RESTORE_S = 1.0
 """Longest wait for the old rates before the verdict is given, s; putting them back goes on afterwards."""
 

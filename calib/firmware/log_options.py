@@ -68,15 +68,11 @@ _EVERY: Final = {
     Logged.RAW_INERTIAL: LogBit(19, "Raw IMU"),
     Logged.CURRENT: LogBit(9, "Battery Monitor"),
 }
-
-
 _COPTER: Final[Mapping[Logged, LogBit]] = {
     **_EVERY,
     Logged.COMPASS: LogBit(13, "Compass"),
     Logged.FAST_INERTIAL: LogBit(18, "Fast IMU"),
 }
-
-
 _ARDUPILOT: Final[Mapping[int, Mapping[Logged, LogBit]]] = MappingProxyType(
     {
         dialect.MAV_TYPE_QUADROTOR: _COPTER,
@@ -92,19 +88,13 @@ _ARDUPILOT: Final[Mapping[int, Mapping[Logged, LogBit]]] = MappingProxyType(
 
 
 """By kind of vehicle as :func:`calib.logs.dataflash.events.identity_of` tells them; copters of every shape are one."""
-
-
 _DISARMED: Final = {"ardupilot": "LOG_DISARMED 1", "px4": "SDLOG_MODE 2"}
-
-
 _PX4: Final[Mapping[Logged, LogBit]] = {
     **dict.fromkeys(Logged, LogBit(0, "Default set")),
     Logged.FAST_INERTIAL: LogBit(3, "System identification"),
     Logged.RAW_INERTIAL: LogBit(9, "Raw FIFO high-rate IMU (Accel)"),
     Logged.COMPASS: LogBit(6, "Sensor comparison"),
 }
-
-
 _NAMES: Final[Mapping[Logged, LogBit]] = {
     **_COPTER,
     Logged.COMPASS: LogBit(-1, "Compass"),

@@ -29,8 +29,6 @@ CHUNK = 8192
 _LOOKED_AT = 4096  # samples that give centre and scale: these only serve the conditioning
 
 AXIS_WORDS = ("nose-tail", "left-right", "top-bottom")
-
-
 _WITHIN = 1.5  # steps from the mean of a stretch: three standard deviations where the noise is half a step
 _SIGMAS = np.linspace(0.0, 0.6, 121)  # beyond 0.6 steps, 1e-7 of the variance is shared
 _K = np.arange(1, 200)[:, None]

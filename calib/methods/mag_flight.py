@@ -33,8 +33,6 @@ _SENSORS = {
     DriveKind.MOTORS: Sensor.MOTOR,
 }
 _FIXED_BY = 1e-4  # degrees and more from the equator and Greenwich: a position of zeros is none
-
-
 _FROM = (
     INSTANCE,
     Option("attitude", ("auto", "log", "gyro"), "auto", "log: its attitude; gyro: the gyroscope alone; auto: both"),

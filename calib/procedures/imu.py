@@ -49,8 +49,6 @@ SPEC = ProcedureSpec(
     autopilots=INERTIAL,
     duration_s=75.0,
 )
-
-
 REST_S = 6.0
 """Rest that is taken first, s."""
 

@@ -18,8 +18,6 @@ from mavcal.calib.recording import Array, Segment
 
 Turning = Callable[[Array], tuple[Rotation, Array]]
 """From seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
-
-
 _MOST = 2e7  # samples of a trajectory: some gigabytes
 
 

@@ -51,8 +51,6 @@ RESTING = StillnessLimits(
     shortest=1.0,
 )
 """On a table: nothing touches it."""
-
-
 HOLD_S = 2.0
 """How long a pose has to be held for :data:`HELD`: its shortest span, half a window at each end, and some to spare."""
 

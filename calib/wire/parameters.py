@@ -17,8 +17,6 @@ from mavcal.calib.wire.frames import Frame
 
 HASH_CHECK: Final = "_HASH_CHECK"
 """PX4's checksum of the list comes as if it were a parameter; it is none, and no calibration changes it."""
-
-
 NO_INDEX: Final = 65535
 """The index of a value that was not sent as part of a list."""
 

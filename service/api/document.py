@@ -53,8 +53,6 @@ STREAMS = {
     "follow_events": "Message",
 }
 """Schema of the messages of each event stream; its fields are the lines `event`, `id` and `data`."""
-
-
 HEADERS = {
     "Location": (
         *("open_link", "watch_vehicle", "start_job", "upload_recording", "plan_recording"),

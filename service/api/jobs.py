@@ -56,8 +56,6 @@ Name = tuple[str, str]
 """`vehicle` or `link`, and its id."""
 State = VehicleModel | LinkModel
 router = APIRouter(tags=["jobs"])
-
-
 LastEventId = Annotated[
     int | None, Header(alias="Last-Event-ID", ge=0, le=2**62, description="id of the last message that was heard")
 ]

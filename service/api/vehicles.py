@@ -42,8 +42,6 @@ from mavcal.service.vehicle.rate_ledger import LiveWatch
 from mavcal.service.vehicle.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
-
-
 STATE_PERIOD_S = 1.0
 
 

@@ -35,24 +35,14 @@ log = structlog.get_logger(__name__)
 
 CAMPAIGN = "campaign"
 """Kind of a job that goes through items: options `task` and those of the task."""
-
-
 MOST_RUNNING = 8
 """Campaigns that may be running at a time."""
-
-
 MOST_ITEMS = 100_000
 """Items of a campaign."""
-
-
 WAITING_AT_ONCE = 256
 """Items of all campaigns that may wait for a person at a time; further ones keep their vehicle's place."""
-
-
 ATTENDED = "attended"
 """Key of a campaign's context: a command runs it, and only that command's `resume` goes on with it."""
-
-
 EACH_PROVES = "Each calibration is a job of its own and states its own proof."
 
 

@@ -41,11 +41,7 @@ class ItemOutcome(StrEnum):
 
 OPEN = frozenset({ItemOutcome.WAITING, ItemOutcome.RUNNING})
 """Outcomes of items that a campaign still has to go through."""
-
-
 ABSENT = (VehicleSilent, VehicleUnknown, VehicleArmed, VehicleBusy, VehicleConflict, LinkDown)
-
-
 TAKEN = (PhysicalJobRunning, PreflightRunning)
 """Errors that say that a vehicle cannot be had now; an item that meets one is skipped."""
 

@@ -38,8 +38,6 @@ LATER = (
     *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
 )
 """What the fork server imports for its children, before it serves and while it is idle."""
-
-
 _EVERY_S = 0.5
 """Least time between two lines about one stage of a diagnosis."""
 

@@ -30,8 +30,6 @@ from mavcal.service.store.sqlite import jobs_of
 
 Begin = Callable[[Archive], Awaitable[Job]]
 """Makes the campaign, or goes on with one. Raises ServiceError, CalibError."""
-
-
 _ALL = 1_000_000
 
 

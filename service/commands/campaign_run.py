@@ -29,8 +29,6 @@ from mavcal.service.jobs.core.states import CANCELLABLE, JobState
 
 Begin = Callable[[AsyncClient, list[str]], Awaitable[Begun]]
 """Makes the campaign for these vehicles, or goes on with one. Raises ServiceError."""
-
-
 GATHER_S = 3.0
 """After the first vehicle of a link, others on it get so long to be heard: heartbeats come once a second."""
 

@@ -95,38 +95,20 @@ class NoUploads:
 
 FIT = "fit"
 """Kind of a job that runs a method on an upload: options `recording`, `method`, `options`."""
-
-
 GAP = "gap"
 """Kind of a job that diagnoses a gap between uploads: options `real`, `sim`, `nominal`, `limit_s`."""
-
-
 COMPUTED = frozenset({FIT, GAP})
-
-
 MOST_DIAGNOSES = 8
 """Diagnoses that may be queued or running at a time."""
-
-
 MOST_FITS = 500
 """Fits that may be queued or running at a time."""
-
-
 MOST_FITS_KEPT = 1000
 """Fits that have ended and are remembered; the oldest are forgotten first."""
-
-
 MOST_STARTS = 3
 """Starts, at most, of a job during which the service stops: the job may be what stops it."""
-
-
 STEPS = 2
 """Steps that a child reports: reading, then computing."""
-
-
 NOTHING_WRITTEN = "Nothing was written to a vehicle, so there is nothing to prove."
-
-
 REMEDY = "Remove the cause and ask again; the recording is kept."
 
 

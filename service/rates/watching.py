@@ -29,14 +29,8 @@ log = structlog.get_logger(__name__)
 
 Claim = Callable[[str], str | None]
 """What else has the rates of a vehicle now, in a sentence; None: nothing."""
-
-
 ARMED = "The vehicle is armed: it is not asked for samples, so that its link stays free. Disarm it to see them."
-
-
 SILENT = "The vehicle is silent: it is asked for samples once it is heard again."
-
-
 READ_ONLY = "This service runs with --read-only: it does not change which messages a vehicle sends."
 
 

@@ -21,8 +21,6 @@ CLOCK_S = 6.0
 APART_S = 10.0
 """Two clocks that contradict each other for so long are those of two vehicles; after a restart they differ for less."""
 _AGAIN_S = 10.0
-
-
 WITH_ID_S = 3.0
 """How far the clocks of two links to one unique id may differ: as long as a slow link may hold a message back."""
 WITHOUT_ID_S = 0.5

@@ -46,8 +46,6 @@ _POLL_S = 2.0
 _WHO_S = 5.0
 _SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
-
-
 Announce = Callable[["Vehicle", VehicleEventKind, str], None]
 """Told which vehicle, what happened to it, and the same in a sentence."""
 

@@ -19,8 +19,6 @@ from mavcal.service.workers.orders import Json, Orders
 from mavcal.service.workers.queue import QUEUE, TASK, app_of, lock_of, moved
 
 log = structlog.get_logger(__name__)
-
-
 LOOK_S = 0.3
 """How often a result is looked for."""
 

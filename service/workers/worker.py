@@ -26,8 +26,6 @@ from mavcal.service.workers.orders import Computation, Json, Orders
 from mavcal.service.workers.queue import QUEUE, TASK, app_of, moved
 
 log = structlog.get_logger(__name__)
-
-
 MOST_STARTS = 3
 WATCH_S = 1.0
 """How often it is asked whether somebody waits still."""

@@ -45,8 +45,6 @@ __all__ = [
     "mounting",
     "sensor_ids",
 ]
-
-
 T_REF: Final = 35.0
 """Reference of the thermal polynomial, degC; not a parameter."""
 THERMAL_SCALE: Final = 1e-6

@@ -414,6 +414,4 @@ class _Times:
 
 
 _COMPASS_USE: Final = tuple(ardupilot_compass_names(rank, rank)[Role.USE] for rank in range(ARDUPILOT_COMPASS_SLOTS))
-
-
 _GATHERED: Final = CLOCK_IDS | auxiliary.Auxiliary.message_ids

@@ -77,8 +77,6 @@ class WriteFailedModel(_Proof):
 OutcomeModel = TypeAliasType(
     "OutcomeModel", Annotated[ResultModel | FailureModel | WriteFailedModel, Field(discriminator="kind")]
 )
-
-
 StandingModel = Annotated[Standing, Wire("StandingModel", not_finite=("new",))]
 WriteModel = Annotated[Attempt, Wire("WriteModel")]
 VehicleReadinessModel = Annotated[Readiness, Wire("VehicleReadinessModel")]

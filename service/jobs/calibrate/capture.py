@@ -50,11 +50,7 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle, read_values
 
 SILENT_S = 5.0
 """Time without progress, wall seconds, after which a capture says that it waits for samples."""
-
-
 WAITS = "; waiting for more samples of the vehicle"
-
-
 BATCH_S = 0.05
 """Frames are digested at most so often, seconds of the wall clock."""
 

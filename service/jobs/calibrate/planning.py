@@ -27,8 +27,6 @@ from mavcal.service.store.rows import SnapshotPurpose
 
 ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi"})
 """Jobs that write an accelerometer's calibration."""
-
-
 WITHOUT_ROW = "without_row"
 """Where a job's context keeps them."""
 

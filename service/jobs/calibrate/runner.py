@@ -49,19 +49,11 @@ log = structlog.get_logger(__name__)
 
 REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
 """Kinds that need one rest and no poses: they begin again by themselves."""
-
-
 EARLY = frozenset({"thermal"})
 """Kinds that do so only in their first minute: later, the temperatures that they have passed do not come back."""
-
-
 EARLY_S = 60.0
-
-
 REPEATS = 3
 """Repetitions at most; a vehicle that goes on calibrating is a reason to look at it."""
-
-
 KEPT = "What was recorded is kept and can be fitted later; start the job again."
 
 

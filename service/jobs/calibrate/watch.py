@@ -17,8 +17,6 @@ from mavcal.service.vehicle.job_vehicle import Condition, JobVehicle
 
 HEARTBEATS_S = 3.0
 """Without a heartbeat for so long a vehicle counts as silent."""
-
-
 SLACK_S = 5.0
 """Error of the comparison between the vehicle's clock and ours: frames wait in buffers, the segment's end is not a
 sample's time."""

@@ -171,8 +171,6 @@ class JobBook:
 
 
 PAGE = 200
-
-
 RECENT = 1000
 """Events that are handed on without asking the store; a reader that lags more reads on from there."""
 

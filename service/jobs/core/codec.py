@@ -24,11 +24,7 @@ from mavcal.service.store.sql import Store
 log = structlog.get_logger(__name__)
 
 Json = dict[str, Any]
-
-
 T = TypeVar("T")
-
-
 _COLUMNS = tuple(f.name for f in dataclasses.fields(JobRow) if f.name != "body")
 """Fields of a job that the store can search."""
 
@@ -99,8 +95,6 @@ def _only(made: Converter, kind: type, name: str) -> Callable[[Any, Any], Any]:
 
 
 _CONVERTER = _made()
-
-
 CODE = "job-unreadable"
 
 

@@ -26,12 +26,8 @@ log = structlog.get_logger(__name__)
 
 RETRY_S = 1.0
 """Between two attempts to bring onto the disk what it has refused."""
-
-
 LAST_RETRY_S = 0.1
 """Between two of them while the service ends."""
-
-
 Publish = Callable[[EventRow], None]
 
 

@@ -28,11 +28,7 @@ class JobState(StrEnum):
 
 
 S = JobState
-
-
 _ENDS = {S.FAILED, S.CANCELLED, S.INTERRUPTED}
-
-
 TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
     {
         S.QUEUED: frozenset({S.RUNNING, S.FITTING} | _ENDS),  # fitting: a computation on uploads
@@ -54,24 +50,14 @@ TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
         S.INTERRUPTED: frozenset({S.FITTING, S.RUNNING}),  # its data are kept: fitted later; a campaign goes on
     }
 )
-
-
 CAPTURING = frozenset({S.QUEUED, S.RUNNING, S.WAITING_FOR_OPERATOR})
 """States in which a job listens to the vehicle and can be cancelled without a trace."""
-
-
 CANCELLABLE = CAPTURING | {S.FITTING, S.REVIEW}
 """States in which nothing has been written."""
-
-
 WRITING = frozenset({S.APPLYING, S.WAITING_FOR_REBOOT, S.VERIFYING, S.ROLLING_BACK, S.IN_DOUBT})
 """States in which the vehicle may hold parameters of the job; the journal says which."""
-
-
 PHYSICAL = CAPTURING | {S.FITTING} | WRITING
 """States in which a job claims its vehicle."""
-
-
 ENDED = frozenset({S.SUCCEEDED, S.REVERTED, S.FAILED, S.CANCELLED, S.INTERRUPTED})
 """States in which the job waits for a person or has ended."""
 

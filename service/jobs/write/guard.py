@@ -20,19 +20,11 @@ from mavcal.service.errors import (
 from mavcal.service.vehicle.job_vehicle import Condition, JobVehicle
 
 T = TypeVar("T")
-
-
 HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
-
-
 _TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
 """Messages that can say at once that a write has to stop."""
-
-
 STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown, LeaseLost)
 """Errors after which nothing more may be sent, be it to take something back."""
-
-
 RESTARTED = "the vehicle restarted by itself"
 
 

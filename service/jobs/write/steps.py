@@ -138,11 +138,7 @@ def check_in_place(changes: Iterable[Change], values: Mapping[str, Value]) -> No
 
 
 PREFLIGHT_REBOOT_SHUTDOWN = 246
-
-
 REBOOT_AUTOPILOT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 ASK_TO_RESTART = Prompt(
     PromptStep.REBOOT, "Restart the vehicle: switch it off and on again. The new values act only then."
 )

@@ -36,29 +36,15 @@ from mavcal.service.store.rows import SegmentPurpose, SnapshotPurpose
 from mavcal.service.vehicle.job_vehicle import JobVehicle
 
 FINISH = "finish"
-
-
 INERTIAL = (Sensor.ACCEL, Sensor.GYRO)
-
-
 STEP_S = 2.0
 """A movement is judged again after so much more of the vehicle's time."""
-
-
 POLL_S = 0.02
-
-
 ATTITUDE_HZ = 10.0
-
-
 PROVING_S = 4.0
 """Time that a prompt asks a pose to be held, s: two looks."""
-
-
 RESTS_WITHIN = 0.6
 """Standard deviation of an accelerometer's axis over a second below which a hand holds the vehicle still, m/s2."""
-
-
 HOLD_STILL = Prompt(
     PromptStep.HOLD_STILL,
     "Leave the vehicle alone: its sensors are read at rest.",
