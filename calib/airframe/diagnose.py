@@ -241,14 +241,15 @@ def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side
 def _testable(
     sim: Side, kind: Kind, untestable: Sequence[Missing], without: frozenset[str], air: Densities | None
 ) -> tuple[AirframeEffect, ...]:
-    gone = {m.id for m in untestable if not m.latent} | without
+    gone = {m.id for m in untestable if m.wholly} | without
+    still = {axis for m in untestable for axis in m.axes}
     layout = sim.fit.layout
     gains = [sim.fit.value(f"gain_{axis}") for axis in AXES]
     named = catalogue(layout, kind, gains)
     if air is not None and air.alike is None:
         named = (*named, of_density(air, rotors_damp=kind.rotors_damp))
     torque = sim.likelihood.torque
-    kept = [e for e in named if e.id not in gone and (torque or not e.torque)]
+    kept = [e for e in named if e.id not in gone and (torque or not e.torque) and not e.axes & still]
     free = (e for e in nameless(layout) if torque or not e.torque)
     return (*kept, *(e for e in free if e.domain is Domain.ENVIRONMENT or not shown_by(sim, e)))
 
@@ -267,7 +268,7 @@ def _answer(
     evidence = answer.evidence
     assert isinstance(evidence, PairEvidence)
     side = evidence.side_of(answer.best.model)
-    untested = {m.id for m in untestable}
+    untested = {m.id for m in untestable if not m.axes}
     tested = [e for e in evidence.effects if e.id not in untested]
     found = effects_of(answer, evidence, tested, slew, least=LIKELY, beside=beside)
     found = with_rivals(found, _beside_thrust(found, real, sim, side, untestable))

@@ -66,6 +66,8 @@ class AirframeEffect:
     """Whether only torque shows it."""
     mean: float = 0.0
     """Prior mean of every amplitude, where the logs state one beside the flights."""
+    axes: frozenset[str] = frozenset()
+    """Axes that have to turn, each of them, so that it shows."""
     sides: tuple[float, float] | None = None
     """The parameter in the real and in the simulated flight, where the logs state it."""
 
@@ -153,7 +155,7 @@ def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[Airfram
     for pair in PRODUCTS:
         product, block = (Change(0, f"product_{pair}", plus),), f"product_{pair}"
         yield AirframeEffect(
-            "inertia", block, (pair,), (0.1,), product, (block,), odds=ODDS / 6.0, torque=True,
+            "inertia", block, (pair,), (0.1,), product, (block,), odds=ODDS / 6.0, torque=True, axes=frozenset(pair),
         )  # fmt: skip
     cg = (Change(0, "cg_x", plus), Change(1, "cg_y", plus))
     yield AirframeEffect("cg_offset", "cg_offset", ("x", "y"), (0.05, 0.05), cg, ("cg_x", "cg_y"), torque=True)
@@ -247,7 +249,7 @@ def _inertia(axes: str) -> AirframeEffect:
     )  # fmt: skip
     return AirframeEffect(
         "inertia", f"inertia_{axes}", ("ratio",), (0.3,), changes, tuple(f"gain_{a}" for a in axes),
-        odds=ODDS / 2.0, torque=True,
+        odds=ODDS / 2.0, torque=True, axes=frozenset(axes),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.airframe.fit import FlightLikelihood
 from mavcal.calib.airframe.flown import LOG_BITS, PROFILE_BITS
+from mavcal.calib.airframe.physics import AXES
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,9 @@ _MOST_LIMITED: Final = 0.2
 """Numbers of AIRFRAME 5.8: speed both ways, m/s; speed through the air for a square law (8 m/s reached in part of a
 flight); climbs; span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a
 limit."""
+_LEAST_RATE: Final = 0.1
+"""rad/s that an axis reaches in a hundredth of a flight in which it is made to turn. Chosen, not measured: a doublet of
+10 degrees reaches 0.5, a calm hover 0.03."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +40,19 @@ class Missing:
     """An effect that these flights could not have shown, why, and what would be needed.
 
     `latent`: it may still be in them. Then it competes, so that no other effect takes its place, and is not named.
+    `axes`: it could not have been shown about these axes alone; all of them where there is none.
     """
 
     id: str
     reason: str
     need: str
     latent: bool = False
+    axes: tuple[str, ...] = ()
+
+    @property
+    def wholly(self) -> bool:
+        """Whether the effect is left out altogether, and does not even compete."""
+        return not self.latent and not self.axes
 
 
 TORQUE_IDS: Final = (
@@ -89,6 +100,21 @@ def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
             reason = f"the {which} vehicle is made to turn in {100 * turning:.0f} % of its flight only"
             for id_ in ("inertia", "yaw_coefficient", "angular_damping", "motor_lag", "actuator_delay"):
                 yield Missing(id_, f"{reason}: commands answer gusts", need)
+            return
+        yield from _by_axis(which, one)
+
+
+def _by_axis(which: str, one: FlightLikelihood) -> Iterator[Missing]:
+    """What a flight does not tell of an axis about which it hardly turns."""
+    flight = one.airframe.flight
+    rates = np.percentile(np.abs(flight.rate[flight.usable]), 99.0, axis=0)
+    for axis, name, rate in zip(AXES, ("roll", "pitch", "yaw"), rates, strict=True):
+        if rate < _LEAST_RATE:
+            reason = f"the {which} vehicle turns in {name} at {rate:.2f} rad/s"
+            need = "yaw steps of 60 degrees and more" if axis == "z" else f"sharp doublets in {name}"
+            yield Missing("inertia", reason, need, axes=(axis,))
+            if axis == "z":
+                yield Missing("yaw_coefficient", reason, need)
 
 
 def _by_motion(which: str, one: FlightLikelihood, wind: Array) -> Iterator[Missing]:

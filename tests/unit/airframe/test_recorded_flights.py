@@ -120,3 +120,20 @@ def test_a_vehicle_against_itself_shows_nothing(shared_data: Path, room: Path) -
     assert isinstance(answer, AirframeAnswer)
     assert answer.found == ()
     assert answer.nameless < 0.1
+
+
+@pytest.mark.parametrize("name", ["d04.bin", "d10.bin", "d11.bin"])
+def test_the_first_half_minute_of_a_flight_names_nothing_that_it_did_not_fly(
+    shared_data: Path, room: Path, name: str
+) -> None:
+    """Doublets in roll alone: an inertia in pitch of 1.75 was beside the thrust of d04."""
+    packed = shared_data / f"airframe_flights/{name}.xz"
+    if not packed.exists():
+        pytest.skip(f"no {name} in the shared data")
+    part = room / f"first-{name}"
+    with lzma.open(packed) as whole:
+        part.write_bytes(whole.read(3_000_000))
+    answer = airframe_gap(logs.read(part), read(shared_data, SIMULATED["d"], room))
+    assert isinstance(answer, AirframeAnswer)
+    assert set(of_airframe(answer)) == set({**RATIOS, **DIFFERENCES}[name])
+    assert not answer.unknown
