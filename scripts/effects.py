@@ -15,11 +15,14 @@ from mavcal.calib.airframe.words import FIXES
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, MeanEffect
 from mavcal.calib.gap_report.airframe_effects import labels, plain_name
+from mavcal.calib.recording import Sensor
+from tests.unit.gap.effects.imitation import LEAST, MISSIONS, NONE, NOT_TESTABLE, closest
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "gap-effects.md"
 SENSORS = "## The catalogue\n"
 MODEL = "### Parameters of the model\n"
 AIRFRAME = "### Effects of airframe and air\n"
+IMITATORS = "| sensor | effect | at rest | hover | tumble |\n|---|---|---|---|---|\n"
 WRITTEN = "Written by `scripts/effects` from the code."
 HEADER = "| effect | parameters | excited by | rivals | told apart by |\n|---|---|---|---|---|\n"
 FORMS = {
@@ -155,9 +158,27 @@ def with_tables(page: str) -> str:
     return page
 
 
+def imitators() -> str:
+    """Every effect on the mean that a mission of the tests excites, with its best imitator on each."""
+    found = ""
+    for sensor in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG):
+        tables = [closest(sensor, mission) for mission in MISSIONS]
+        for id_ in dict.fromkeys(effect.id for effect in catalogue() if any(effect.id in t for t in tables)):
+            cells = [NOT_TESTABLE if id_ not in t else NONE if t[id_][1] < LEAST else f"{t[id_][0]} {t[id_][1]:.2f}"
+                     for t in tables]  # fmt: skip
+            found += f"| {sensor} | {id_} | {' | '.join(cells)} |\n"
+    return found
+
+
+def with_imitators(page: str) -> str:
+    """The page with the table of imitators as it is measured here."""
+    before, head, rest = page.partition(IMITATORS)
+    return f"{before}{head}{imitators()}{rest[rest.index(chr(10) * 2) + 1 :]}"
+
+
 def main() -> None:
     """Write the tables."""
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(with_imitators(with_tables(PAGE.read_text(encoding="utf-8"))), encoding="utf-8")
 
 
 if __name__ == "__main__":

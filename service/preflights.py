@@ -17,11 +17,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 
-from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import CheckId, Report, Snapshot, VerifiedCalibration, stated_device_ids
 from mavcal.calib.preflight.collect import (
-    SENSORS,
     Gathered,
     collect,
     counted_messages,
@@ -33,8 +31,8 @@ from mavcal.calib.preflight.collect import (
 )
 from mavcal.calib.preflight.installed import STREAMED, announced
 from mavcal.calib.preflight.rest import RestReading, rest_readings
-from mavcal.calib.preflight.run import preflight
-from mavcal.calib.preflight.self_report import AGREES_S, LOOKED_AT, PARAMETERS, agrees_soon
+from mavcal.calib.preflight.run import looked_up, preflight
+from mavcal.calib.preflight.self_report import AGREES_S, agrees_soon
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire.frames import Frame
 from mavcal.service.errors import CommandRefused, CommandTimeout, DiskFull, PreflightRunning, ServiceError, VehicleError
@@ -217,10 +215,8 @@ class Preflights:
         """Every parameter that a check looks at; they are heard as they come."""
         autopilot = vehicle.identity.autopilot or ""
         found: dict[str, Value] = {}
-        extra = {name for entry in known for name in entry.parameters} | set(PARAMETERS.get(autopilot, ()))
-        extra |= set(LOOKED_AT.get(autopilot, ()))
         asked: set[str] = set()
-        while missing := (needed(autopilot, SENSORS, found, drift=False) | extra) - asked:
+        while missing := looked_up(autopilot, found, known) - asked:
             asked |= missing
             readings = await read_values(vehicle, sorted(missing), absent=True)
             found |= {name: reading.value for name, reading in readings.items()}

@@ -12,9 +12,10 @@ import numpy as np
 
 from mavcal.calib.earth import EarthField, decimal_year, earth_field
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, self_report
-from mavcal.calib.preflight.check import Check, CheckId, Report, Snapshot, Verdict, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Report, Snapshot, Verdict, VerifiedCalibration, unknown
 from mavcal.calib.preflight.compass import motor_compensation
 from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
@@ -85,6 +86,12 @@ def preflight(snapshot: Snapshot) -> Report:
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]
     found.append(self_report.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
     return Report(tuple(found))
+
+
+def looked_up(autopilot: str, known: Mapping[str, Value], history: Iterable[VerifiedCalibration]) -> set[str]:
+    """Names of the parameters that the checks look at; ask again with what was read until nothing new is named."""
+    found = {name for entry in history for name in entry.parameters} | needed(autopilot, _ABOUT, known, drift=False)
+    return found | {*self_report.PARAMETERS.get(autopilot, ()), *self_report.LOOKED_AT.get(autopilot, ())}
 
 
 def _without_sensor(there: Census, found: list[Check]) -> list[Check]:

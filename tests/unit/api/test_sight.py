@@ -158,6 +158,17 @@ def test_the_operations_that_filter_are_there_and_name_nothing_in_their_address(
     assert all("{" not in found[name] for name in FILTERED)
 
 
+REFUSED = {"list_signing_keys", "list_methods", "list_audit", "check_audit", "get_metrics"}
+"""What is read without a name in the address, and not by a key that is bound to tags."""
+OPEN = {"get_health", "get_readiness", "get_registration"}
+
+
+def test_whoever_adds_what_is_read_without_a_name_decides_who_sees_it(tmp_path: Path) -> None:
+    paths = create_app(Settings(data_dir=tmp_path)).openapi()["paths"]
+    found = {methods["get"]["operationId"] for path, methods in paths.items() if "{" not in path and "get" in methods}
+    assert found - FILTERED == REFUSED | OPEN, "name it in FILTERED of service/api/sight.py, or here"
+
+
 def test_an_admin_has_no_tags_and_a_tag_is_a_word() -> None:
     with pytest.raises(ValueError, match="sees every vehicle"):
         ApiKey(name="x", sha256=DIGEST, scopes=frozenset({"admin"}), tags=frozenset({"boats"}))

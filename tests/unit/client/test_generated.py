@@ -21,7 +21,6 @@ def document() -> Document:
     return Document(json.loads((ROOT / "docs" / "openapi.json").read_text()))
 
 
-@pytest.mark.long
 def test_the_generated_files_are_up_to_date() -> None:
     assert generator.outdated() == [], "run scripts/generate-client"
 

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import CheckId, OwnView, Verdict
-from mavcal.calib.preflight.run import preflight
+from mavcal.calib.preflight.run import looked_up, preflight
 from mavcal.calib.recording import Sensor
 from tests.unit.preflight.faults import FAULTS, Fault, report_of
 from tests.unit.preflight.vehicle import about, healthy
@@ -121,3 +122,15 @@ def test_a_sensor_that_was_calibrated_meanwhile_has_no_verdict() -> None:
     assert check.verdict == Verdict.UNKNOWN
     assert "CAL_GYRO0_XOFF" in check.reason
     assert report.check(CheckId.ACCEL_FORCE).verdict == Verdict.PASS
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_check_needs_no_parameter_that_is_not_read_from_a_vehicle(seed: int) -> None:
+    snapshot = dataclasses.replace(healthy(seed, redundant=True).snapshot(), history=())
+    autopilot, every = snapshot.identity.autopilot or "", snapshot.parameters
+    read: dict[str, Value] = {}
+    asked: set[str] = set()
+    while missing := looked_up(autopilot, read, ()) - asked:
+        asked |= missing
+        read |= {name: every[name] for name in missing if name in every}
+    assert preflight(dataclasses.replace(snapshot, parameters=read)) == preflight(snapshot)

@@ -16,6 +16,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.firmware.names import (
     OFFSET,
+    PX4_SLOTS,
     Role,
     ardupilot_compass_names,
     ardupilot_imu_names,
@@ -312,6 +313,8 @@ def _parameters(rng: np.random.Generator, autopilot: str, imus: int, mags: int) 
             if thermal and Role.THERMAL_ENABLE in names:
                 found |= {names[Role.THERMAL_ENABLE]: 1}
                 found |= {names[Role.THERMAL_MIN]: caltemp - 25.0, names[Role.THERMAL_MAX]: caltemp + 25.0}
+        if autopilot == "px4":
+            found |= {_names(autopilot, sensor, i)[Role.ID]: 0 for i in range(count, PX4_SLOTS)}
     return found
 
 

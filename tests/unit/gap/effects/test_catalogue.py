@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections import Counter
 
 import numpy as np
@@ -144,3 +145,12 @@ def test_no_trace_changes():
 def test_the_page_lists_the_catalogue_as_it_is():
     page = effects.PAGE.read_text(encoding="utf-8")
     assert effects.with_tables(page) == page, "scripts/effects writes it"
+
+
+def test_every_parameter_has_its_sign_and_unit_on_the_page():
+    """`quadratic` and `exponent` had none."""
+    _, _, rest = effects.PAGE.read_text(encoding="utf-8").partition("## Signs and units\n")
+    section, _, _ = rest.partition("\n## ")
+    said = set(re.findall(r"`([a-z_0-9]+)(?:\.[a-z]+)?`", section))
+    stems = {p.name.partition(".")[0] for params in parameter_table().values() for p in params}
+    assert stems - said == set()
