@@ -38,7 +38,10 @@ class Scene:
     moves: bool = False
     """The vehicle is on two links; the service that takes the write up knows only the second."""
     gyro_off_by: float = 0.0
-    """How far from its truth somebody has set PX4's first gyro along x before the job, rad/s: it is to be written."""
+    """How far from its truth somebody has set PX4's first gyro along x before the job, rad/s: it is to be written.
+
+    Along the other axes it is right: PX4 takes a change of more than 0.01 rad/s at once, and needs no restart then.
+    """
 
 
 _BARE = {"INS_GYR_CAL": 0.0}

@@ -89,9 +89,9 @@ def residuals(
 
 
 def true_px4_gyro(truth: Json, stored: Mapping[str, float]) -> dict[str, float]:
-    """The offset along x that would leave the gyro of PX4's first slot without any, by its parameter's name."""
+    """The offsets that would leave the gyro of PX4's first slot without any, by their parameters' names; x first."""
     (gyro,) = [entry for entry in truth["gyros"] if int(entry["id"]) == int(stored["CAL_GYRO0_ID"])]
-    return {"CAL_GYRO0_XOFF": float(gyro["offset"][0])}
+    return {f"CAL_GYRO0_{axis}OFF": float(value) for axis, value in zip("XYZ", gyro["offset"], strict=True)}
 
 
 def _asked(truth: Json, job: str, uncertainty: float) -> float:
