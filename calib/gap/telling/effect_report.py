@@ -1,7 +1,8 @@
-"""Effects of a model for the report: parameters, evidence, rivals and gates."""
+"""Effects of a model for the report: parameters, evidence, probability, rivals and gates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -11,19 +12,28 @@ from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.heldout.shrink import block_agreement
-from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees_attitude
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.telling.probabilities import calibrated_probability
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
 from mavcal.calib.recording import Sensor
+
+_SHARPNESS = 0.7
+"""Power of the probability among rivals: it differs too much between them. Source: a fit, seeds 90001-90570."""
+_LEVEL, _SLOPE = 3.3, 1.2
+"""Log-odds that a name of gain 200 is right, and their increase for each power of ten. Source: a fit, seeds
+90001-90570."""
+_BESIDE_UNKNOWN = 2.1
+"""By which they are less where something unknown is there too. Source: a fit, seeds 90001-90570."""
+_MIDDLE, _LEAST, _MOST = 2.3, 1.3, 3.3
+"""Powers of ten of the gain: the middle of those cases, and where they end. Source: a fit, seeds 90001-90570."""
 
 
 def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
     """The estimate of an effect; `passed`: whether held-out blocks confirm it, None if undecided."""
-    term, dose = _term(chosen.model, found), block_agreement(chosen, found.key)
+    term = next(t for t in chosen.model.members if t.hypothesis.key == found.key)
+    dose = block_agreement(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     probability = calibrated_probability(found.probability, found.gain, beside_unknown=beside_unknown)
     return EffectEstimate(
@@ -35,6 +45,35 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
         found.rivals,
         Gates(passed, None, dose.agrees),
     )
+
+
+def calibrated_probability(among_rivals: float, gain: float, *, beside_unknown: bool) -> float:
+    """Chance that an effect is there, calibrated on cases whose effects are known.
+
+    The softmax over rivals knows only listed rivals. A small gain is often a second order of something large or
+    unnamed. The constants were fitted to 446 names of cases that were no longer sealed: one to three effects, seeds
+    90001 to 90570, without and with unknown errors. Each kind has the weight of a full run of the check (1000, 400, 400
+    and 200 cases), in which 83 % are right.
+
+    Parameters
+    ----------
+    among_rivals
+        Its probability among its rivals.
+    gain
+        Twice the log-likelihood that it gains beside all others.
+    beside_unknown
+        Whether something unknown is reported as well.
+
+    Examples
+    --------
+    >>> round(calibrated_probability(1.0, 2000.0, beside_unknown=False), 2)
+    0.99
+    >>> round(calibrated_probability(1.0, 50.0, beside_unknown=False), 2)
+    0.93
+    """
+    power = min(max(math.log10(max(gain, 1.0)), _LEAST), _MOST)
+    odds = _LEVEL + _SLOPE * (power - _MIDDLE) - (_BESIDE_UNKNOWN if beside_unknown else 0.0)
+    return float(among_rivals**_SHARPNESS / (1.0 + math.exp(-odds)))
 
 
 def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
@@ -74,7 +113,3 @@ def attitude_error_effect(wander: WanderFit, attributions: tuple[Attribution, ..
         wander.gain / (wander.gain + others),
     )
     return EffectEstimate(REFERENCE, Sensor.ACCEL, tuple(instances), rms_rotation(model), sure)
-
-
-def _term(model: Model, found: Attribution) -> Term | NoiseTerm:
-    return next(t for t in model.members if t.hypothesis.key == found.key)

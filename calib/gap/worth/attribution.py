@@ -30,7 +30,7 @@ _SECOND_ORDER_SCALE = 8.0
 Chosen, not measured: a second order of 16 then counts as much as `TEMPERATURE`."""
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities. Source: GAP 3.7 has the form. The value
-is chosen, not measured; `telling/probabilities.py` corrects what it gives."""
+is chosen, not measured; `telling/effect_report.py` corrects what it gives."""
 _DRIFT_SHARE = 0.8
 """Part of its probability that noise that wanders keeps: it takes the place of anything slow. Chosen, not measured: it
 leaves a fifth to what else is slow."""
