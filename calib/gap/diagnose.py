@@ -57,10 +57,16 @@ from mavcal.calib.gap.telling.identifiability import (
 from mavcal.calib.gap.telling.locate import located
 from mavcal.calib.gap.telling.recordings import inputs_of, overstated_noise, series_of
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
-from mavcal.calib.gap.unknown.plausibility import improbable_effects, unresponsive_sensors, without_sensors
 from mavcal.calib.gap.unknown.shape_search import with_shapes
 from mavcal.calib.gap.unknown.transitions import JumpSpan, transient_events, transitions, without_transitions
-from mavcal.calib.gap.unknown.verdict import NOT_LASTING, UnnamedCause, unknown_of, unnamed_causes_in
+from mavcal.calib.gap.unknown.unresponsive import unresponsive_sensors, without_sensors
+from mavcal.calib.gap.unknown.verdict import (
+    NOT_LASTING,
+    UnnamedCause,
+    improbable_effects,
+    unknown_of,
+    unnamed_causes_in,
+)
 from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference, on_uncertain_unit
 from mavcal.calib.gap.worth.attribution import Attribution, attributions
 from mavcal.calib.recording import Sensor
@@ -317,7 +323,7 @@ def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> Gap
     loose = {key: names for key, names in unbounded_parameters(chosen).items() if key in gap}
     causes = (
         *unnamed,
-        *improbable_effects(answer.reported, members, answer.withdrawn),
+        *improbable_effects(answer.reported, members, beside_withdrawn=bool(answer.withdrawn)),
         *unbounded_causes(chosen, loose),
     )
     unknown = _unexplained_part(task, answer, causes)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, Term
 from mavcal.calib.gap.schema import HiddenDriver, Unknown
@@ -32,6 +33,11 @@ _MATERIAL = 0.03
 _MATERIAL_ON_SENSOR = 0.1
 """The same of what is left over on one sensor: of a long recording no model explains the last hundredth. Chosen, not
 measured: three times `_MATERIAL`, since nothing is said of its shape."""
+_LEAST_PROBABILITY = 0.01
+"""Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
+name of one in a hundred helps nobody."""
+_COMMON = "clock"
+"""What an effect belongs to that is common to all sensors."""
 _BEATING, _SAME_DIRECTION = 20.0, 0.8
 """Periods in a recording by which two waves differ at most, and how alike their directions are, that are one. Chosen,
 not measured: a line that wanders is as wide, and four fifths are most of a direction."""
@@ -73,6 +79,22 @@ def unnamed_causes_in(
         *_beating_waves(model),
         *(UnnamedCause((key,), text) for key, text in bursts(model)),
     )
+
+
+def improbable_effects(
+    attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], *, beside_withdrawn: bool
+) -> Iterable[UnnamedCause]:
+    """Effects that are far less likely than an unnamed cause in their place, or than an effect that was withdrawn."""
+    found: dict[str, list[Key]] = {}
+    for a in attributions:
+        effect = effects[a.key]
+        if effect.nameless:
+            continue  # it has no name to begin with
+        if a.probability < _LEAST_PROBABILITY and (beside_withdrawn or a.unknown_probability > a.probability):
+            found.setdefault(_COMMON if effect.shared else effect.sensor.value, []).append(a.key)
+    return [
+        UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in found.items()
+    ]
 
 
 def _frequent_jumps(model: Model) -> list[UnnamedCause]:

@@ -12,11 +12,13 @@ from mavcal.calib.gap.model.noise_fit import starting_noise
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.unknown.excess_power import excess_power
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
-from mavcal.calib.gap.unknown.verdict import UnnamedCause, unknown_of
+from mavcal.calib.gap.unknown.verdict import UnnamedCause, improbable_effects, unknown_of
+from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 MOMENTS = (8.0, 16.0, 24.0, 32.0)
+NAMED = {(effect.id, (0,)): effect for effect in catalogue()}
 
 
 def jumping(moments):
@@ -136,3 +138,29 @@ def test_two_steady_tones_are_two():
     fans = diagnose(problem_of(np.random.default_rng(6), (Sensor.ACCEL,), two_fans), effects=few, nested=False)
     assert [e.id for e in fans.effects] == ["accel_tone"] * 2
     assert not fans.unknown.flag
+
+
+def attribution(key="gyro_tone", probability=0.0, unknown=1.0):
+    return Attribution((key, (0,)), 20.0, 3, 0.5, probability, unknown, ())
+
+
+def improbable(*attributions, beside_withdrawn=False):
+    return improbable_effects(attributions, NAMED, beside_withdrawn=beside_withdrawn)
+
+
+@pytest.mark.parametrize(
+    ("probability", "unknown", "withdrawn", "named"),
+    [(0.0, 1.0, False, False), (0.0, 0.0, True, False), (0.0, 0.0, False, True), (0.5, 0.5, True, True)],
+)
+def test_a_name_that_something_nameless_beats_is_none(probability, unknown, withdrawn, named):
+    found = improbable(attribution(probability=probability, unknown=unknown), beside_withdrawn=withdrawn)
+    assert [s.keys for s in found] == ([] if named else [(("gyro_tone", (0,)),)])
+
+
+def test_names_of_one_sensor_are_one_difference():
+    found = improbable(attribution(), attribution("gyro_bias"), attribution("mag_tone"))
+    assert [s.text.split()[3] for s in found] == ["gyro", "mag"]
+
+
+def test_a_difference_of_the_clock_belongs_to_no_sensor():
+    assert [s.text.split()[3] for s in improbable(attribution("clock_drift"))] == ["clock"]

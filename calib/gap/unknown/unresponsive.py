@@ -1,29 +1,19 @@
-"""Implausible results of a model: a sensor without any response to its reference, and improbable names."""
+"""Sensors that do not respond to the movement of their reference."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
-from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.traits import Trait
-from mavcal.calib.gap.model.hypotheses import Key
 from mavcal.calib.gap.model.joint import Model, predicted
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.reference.align import FOLLOWS
 from mavcal.calib.gap.reference.checks import MOVES
-from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
-from mavcal.calib.gap.unknown.verdict import UnnamedCause
-from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
-_LEAST_PROBABILITY = 0.01
-"""Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
-name of one in a hundred helps nobody."""
-_COMMON = "clock"
-"""What an effect belongs to that is common to all sensors."""
 _LIVE = "a live sensor, and a reference of the same movement"
 
 
@@ -61,19 +51,3 @@ def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProb
         warnings=(*problem.warnings, *(reason for _, reason, _ in said)),
         not_testable=(*problem.not_testable, *said),
     )
-
-
-def improbable_effects(
-    attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], withdrawn: Sequence[Unexplained]
-) -> Iterable[UnnamedCause]:
-    """Effects that are far less likely than an unnamed cause in their place or than a withdrawn one."""
-    found: dict[str, list[Key]] = {}
-    for a in attributions:
-        effect = effects[a.key]
-        if effect.nameless:
-            continue  # it has no name to begin with
-        if a.probability < _LEAST_PROBABILITY and (withdrawn or a.unknown_probability > a.probability):
-            found.setdefault(_COMMON if effect.shared else effect.sensor.value, []).append(a.key)
-    return [
-        UnnamedCause(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in found.items()
-    ]
