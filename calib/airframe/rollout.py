@@ -53,7 +53,6 @@ def rollouts(
     held_out: Sequence[tuple[Mask, Sequence[Predicted]]],
     *,
     torque: bool,
-    seed: int = 0,
     part: str = "blocks",
 ) -> tuple[Rollout, ...]:
     """Errors on held-out rows.
@@ -67,16 +66,14 @@ def rollouts(
         first, then with one effect more each.
     torque
         Whether body rates are predicted.
-    seed
-        Of the resampling behind the intervals.
     part
         What was held out.
     """
     made = []
     for horizon in VELOCITY_HORIZONS_S:
-        made.append(_one(airframe, held_out, horizon, Quantity.VELOCITY, seed, part))
+        made.append(_one(airframe, held_out, horizon, Quantity.VELOCITY, part))
     for horizon in RATE_HORIZONS_S if torque else ():
-        made.append(_one(airframe, held_out, horizon, Quantity.BODY_RATE, seed, part))
+        made.append(_one(airframe, held_out, horizon, Quantity.BODY_RATE, part))
     return tuple(m for m in made if m is not None)
 
 
@@ -85,7 +82,6 @@ def _one(
     held_out: Sequence[tuple[Mask, Sequence[Predicted]]],
     horizon: float,
     quantity: Quantity,
-    seed: int,
     part: str,
 ) -> Rollout | None:
     flight = airframe.flight
@@ -106,13 +102,13 @@ def _one(
     if errors.shape[1] < _LEAST:
         return None
     rms = np.sqrt(errors.mean(axis=1))
-    closed, ci95 = _closed(errors, seed)
+    closed, ci95 = _closed(errors)
     names = [p.add for p in held_out[0][1]][1:]
     sequence = tuple(RolloutStep(name, float(r)) for name, r in zip(names, rms[1:-1], strict=True))
     return Rollout(horizon, quantity, unit, float(rms[0]), float(rms[-2]), float(rms[-1]), closed, ci95, part, sequence)
 
 
-def _closed(errors: Array, seed: int) -> tuple[float | None, tuple[float, float] | None]:
+def _closed(errors: Array) -> tuple[float | None, tuple[float, float] | None]:
     """Part of the error beyond the floor that is closed, from squared errors (models, starts), and its interval."""
 
     def share(some: Array) -> float:
@@ -122,7 +118,7 @@ def _closed(errors: Array, seed: int) -> tuple[float | None, tuple[float, float]
     whole = share(errors) if len(errors) > _PLAIN else float("nan")
     if not np.isfinite(whole):
         return None, None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     count = errors.shape[1]
     groups = np.array_split(np.arange(count), max(count // 8, 2))
     drawn = []

@@ -16,8 +16,8 @@ from mavcal.calib.gap.heldout.consistency import inconsistent_effects
 from mavcal.calib.gap.heldout.shrink import Heldout, held_out, shrink_of, with_nested_selection
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
-from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import Model, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.progress import GapPace, GapStage, with_limit
@@ -67,7 +67,7 @@ from mavcal.calib.gap.unknown.verdict import (
     unknown_of,
     unnamed_causes_in,
 )
-from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference, on_uncertain_unit
+from mavcal.calib.gap.worth.attitude_error import below_reference, on_uncertain_unit
 from mavcal.calib.gap.worth.attribution import Attribution, attributions
 from mavcal.calib.recording import Sensor
 
@@ -121,7 +121,7 @@ class _Answer:
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
         small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.to_report(h))
-        return self.inseparable | small | below_reference(self.chosen.model, self.chosen.joint, REFERENCE_CHANCE)
+        return self.inseparable | small | below_reference(self.chosen.model, self.chosen.joint)
 
     @property
     def reported(self) -> tuple[Attribution, ...]:
@@ -207,13 +207,12 @@ def _without_unusable(task: _Setup, chosen: ChosenModel, rounds: int) -> tuple[G
 def _setup_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...], pace: GapPace | None = None) -> _Setup | None:
     """Everything that a selection needs; None if no sensor has enough samples beside a reference."""
     lattice = lattice_of(problem, effects)
-    masked = {i: found.masked for i, found in lattice.masks.items()}
-    views = split(views_of(problem, masked, lattice.variance))
+    views = split(views_of(problem, lattice.masked, lattice.variance))
     if not views:
         return None
     setting = setting_of(views)
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
-    start = starting_model(setting, starting_noise(setting))
+    start = model_without_effects(setting)
     bare = noise_fitted(start).model
     contest = Contest(hypotheses, thresholds=GainThresholds(problem.minimum_gain), pace=pace)
     contest = above_nuisance(contest, start, problem.nuisance)
@@ -396,7 +395,7 @@ def _effects(
     denied = {key for cause in causes for key in cause.keys}
     denied |= {t.hypothesis.key for t in model.terms if nominal_has_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if is_line_unsteadiness(t, model)}
-    doubtful = on_uncertain_unit(model, REFERENCE_CHANCE)
+    doubtful = on_uncertain_unit(model)
     found = (
         _effect(task, answer, a, beside_unknown=beside_unknown, sure=doubtful.get(a.key))
         for a in answer.reported

@@ -12,8 +12,8 @@ from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key, hypotheses_of
-from mavcal.calib.gap.model.joint import Model, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import Model, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.progress import GapPace
@@ -24,7 +24,7 @@ from mavcal.calib.gap.search.selection import ChosenModel, refitted_without, sel
 from mavcal.calib.gap.search.terms import marginal_gains, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.telling.estimates import estimates_of
-from mavcal.calib.gap.worth.attitude_error import REFERENCE_CHANCE, below_reference
+from mavcal.calib.gap.worth.attitude_error import below_reference
 from mavcal.calib.recording import Sensor
 
 _FURTHER_RATIO = 1.2
@@ -72,13 +72,12 @@ def steady_effects(
         return SteadyEffects()
     setting = setting_of(views)
     contest = Contest(hypotheses, thresholds=thresholds, pace=pace)
-    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    chosen = select(noise_fitted(model_without_effects(setting)).model, contest, alpha)
     chosen = refitted_without(chosen, _below_minimum(chosen, contest))
     noise = _further_from_ideal(chosen.model)
     doubted = tuple(e for e in _estimated(chosen, contest) if e.key in noise)
-    of_reference = below_reference(chosen.model, chosen.joint, REFERENCE_CHANCE)
     own = refitted_without(chosen, noise) if noise else chosen
-    left = frozenset(of_reference) - frozenset(noise)
+    left = below_reference(chosen.model, chosen.joint) - frozenset(noise)
     supported = refitted_without(own, left) if left else own
     return SteadyEffects(_estimated(own, contest), _estimated(supported, contest), doubted)
 

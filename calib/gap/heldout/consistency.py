@@ -19,8 +19,8 @@ from mavcal.calib.gap.heldout.gates import Gate
 from mavcal.calib.gap.heldout.shrink import Heldout
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Key
-from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.search.lattice_effects import Lattice
@@ -86,9 +86,8 @@ def _with_attitude(trace: Trace, t: Array, q: Array) -> Trace:
 def _denied_along(
     other: GapProblem, lattice: Lattice, chosen: ChosenModel, asked: Collection[Term | NoiseTerm]
 ) -> Iterator[Key]:
-    masked = {i: found.masked for i, found in lattice.masks.items()}
-    setting = setting_of(split(views_of(other, masked, lattice.variance)))
-    model = noise_fitted(starting_model(setting, starting_noise(setting))).model
+    setting = setting_of(split(views_of(other, lattice.masked, lattice.variance)))
+    model = noise_fitted(model_without_effects(setting)).model
     members = {t.hypothesis.key: t for t in chosen.model.members}
     for score in chosen.scores:
         if score.hypothesis.key in members:

@@ -24,10 +24,9 @@ from mavcal.calib.gap.model.joint import (
     jacobian,
     normal_equations,
     setting_of,
-    starting_model,
     with_residual,
 )
-from mavcal.calib.gap.model.noise_fit import starting_noise, with_term
+from mavcal.calib.gap.model.noise_fit import model_without_effects, with_term
 from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.model.views import View, between
 from mavcal.calib.gap.progress import GapPace
@@ -91,8 +90,7 @@ def _views_between(setting: Setting, low: float, high: float) -> list[View]:
 
 
 def _starting_model(views: Sequence[View]) -> Model:
-    setting = setting_of(tuple(views))
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting_of(tuple(views)))
 
 
 def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:

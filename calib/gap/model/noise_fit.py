@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.likelihood import AxisNoise, deviance, fit_amplitudes, flicker, random_walk
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import Model, NoiseTerm, Setting, with_noise
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, Setting, starting_model, with_noise
 from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
@@ -75,6 +75,11 @@ def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
             start = {name: level if name.startswith("white") else 1e-9 * level for name in parts}
             noise.append(AxisNoise(np.full(view.count, least), parts, start))
     return tuple(noise)
+
+
+def model_without_effects(setting: Setting) -> Model:
+    """A model without effects, whose noise is not fitted yet."""
+    return starting_model(setting, starting_noise(setting))
 
 
 @dataclass(frozen=True, eq=False)

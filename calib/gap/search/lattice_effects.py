@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
@@ -17,17 +18,17 @@ from mavcal.calib.gap.search import prices
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Lattice effects of a problem; `masks` and added `variance` by index of the trace."""
+    """Lattice effects of a problem; by index of the trace, the rows that are `masked` and the added `variance`."""
 
     effects: tuple[EffectEstimate, ...]
-    masks: Mapping[int, LatticeEvidence]
+    masked: Mapping[int, NDArray[np.bool_]]
     variance: Mapping[int, float]
 
 
 def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Lattice:
     """Lattice effects of every trace that no nominal recording shows as well."""
     found: list[EffectEstimate] = []
-    masks: dict[int, LatticeEvidence] = {}
+    masked: dict[int, NDArray[np.bool_]] = {}
     variance: dict[int, float] = {}
     lattices = [effect for effect in effects if isinstance(effect, LatticeEffect)]
     for i, trace in _each_instance(problem.traces):
@@ -39,10 +40,10 @@ def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Latti
                 continue  # two recordings differ by as much
             found.append(_estimate(effect, trace.instances, evidence))
             if evidence.masked.any():
-                masks[i] = evidence if i not in masks else _merged(masks[i], evidence)
+                masked[i] = masked[i] | evidence.masked if i in masked else evidence.masked
             if Trait.COARSE in effect.traits:
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
-    return Lattice(tuple(found), masks, variance)
+    return Lattice(tuple(found), masked, variance)
 
 
 def nominal_has_samples(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
@@ -83,11 +84,6 @@ def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
             if (one.sensor, one.instances[0]) not in single:
                 single.add((one.sensor, one.instances[0]))
                 yield index, one
-
-
-def _merged(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
-    masked = one.masked | other.masked
-    return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
 
 
 def _estimate(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:

@@ -30,7 +30,7 @@ _TILTS, _MATRIX, _FIELD, _SCALES = slice(0, 6), slice(6, 15), slice(15, 18), sli
 """Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field, the
 accelerometer's scales."""
 _ERRORS = 21
-REFERENCE_CHANCE = 0.005
+_REFERENCE_CHANCE = 0.005
 """Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
 _PRIOR_TILT = float(BIAS[-1]) / STANDARD_GRAVITY
 """Tilt, rad, that an accelerometer's bias makes which the trajectory expects. Source: its prior of that bias."""
@@ -44,8 +44,8 @@ def variance_from_attitude(model: Model, joint: Joint) -> Array:
     return np.asarray((_amplitude_errors(model, joint) ** 2).sum(axis=1))
 
 
-def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
-    """Effects on the mean that the trajectory's error explains with a chance above `alpha`."""
+def below_reference(model: Model, joint: Joint) -> frozenset[Key]:
+    """Effects on the mean that are no larger than the trajectory's error may make them."""
     moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
@@ -54,18 +54,20 @@ def below_reference(model: Model, joint: Joint, alpha: float) -> frozenset[Key]:
         values = term.values
         free = len(values) - (term.effect.shape is not None and not term.effect.fixed)
         own = slice(rows.start, rows.start + free)
-        covariance = joint.covariance[own, own] + moved[own] @ moved[own].T
-        if moved[own].any() and _chance_of(values[:free], covariance) > alpha:
+        if not moved[own].any():
+            continue
+        squares, count = _deviation(values[:free], joint.covariance[own, own] + moved[own] @ moved[own].T)
+        if chdtrc(count, squares) > _REFERENCE_CHANCE:
             found.add(term.hypothesis.key)
     return frozenset(found)
 
 
-def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
+def on_uncertain_unit(model: Model) -> dict[Key, float]:
     """Effects on one of two units that the other may have instead, with the opposite sign; and how sure their unit is.
 
     The difference of the units is certain. The other unit has the effect if an error of the trajectory imitates it on
     both units; the value compares the likelihood of no error with that of this error. Effects are left out if the
-    error has a chance below `alpha`. The prior of the unit's bias does not count: both units have the same one.
+    error is improbable. The prior of the unit's bias does not count: both units have the same one.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
@@ -88,15 +90,9 @@ def on_uncertain_unit(model: Model, alpha: float) -> dict[Key, float]:
         values = term.values[: columns.p]
         second_order = (tilt * np.linalg.norm(values)) ** 2 * np.eye(columns.p)
         squares, count = _deviation(values, inverse + moved @ moved.T + second_order)
-        if moved.any() and chdtrc(count, squares) > alpha:
+        if moved.any() and chdtrc(count, squares) > _REFERENCE_CHANCE:
             found[own.key] = 1.0 / (1.0 + math.exp(-0.5 * measured * squares))
     return found
-
-
-def _chance_of(values: Array, covariance: Array) -> float:
-    """Chance of values (p,) at least as far from zero."""
-    squares, count = _deviation(values, covariance)
-    return float(chdtrc(count, squares))
 
 
 def _deviation(values: Array, covariance: Array) -> tuple[float, int]:

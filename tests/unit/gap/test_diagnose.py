@@ -13,8 +13,8 @@ from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.heldout.shrink import block_agreement
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
@@ -277,7 +277,7 @@ def test_blocks_that_disagree_widen_the_errors():
         views = split(views_of(problem, {}, {}))
         setting = setting_of(views)
         contest = Contest(hypotheses_of(only, views)[0])
-        chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, 0.005)
+        chosen = select(noise_fitted(model_without_effects(setting)).model, contest, 0.005)
         (term,) = chosen.model.terms
         dose = block_agreement(chosen, term.hypothesis.key)
         assert dose.agrees is (swing == 0.0)

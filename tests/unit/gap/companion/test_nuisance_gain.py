@@ -9,7 +9,7 @@ from mavcal.calib.gap.companion.nuisance_gain import above_nuisance
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
 from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import NuisanceEffect
 from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
@@ -36,7 +36,7 @@ def task():
     problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,))
     views = views_of(problem, {}, {})
     setting = setting_of(views)
-    bare = noise_fitted(starting_model(setting, starting_noise(setting))).model
+    bare = noise_fitted(model_without_effects(setting)).model
     hypotheses, _ = hypotheses_of([e for e in catalogue() if e.sensor is Sensor.ACCEL], views)
     return problem, bare, Contest(hypotheses)
 

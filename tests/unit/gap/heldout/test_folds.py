@@ -17,8 +17,8 @@ from mavcal.calib.gap.heldout.folds import (
     with_joined_term,
 )
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.projection import Projection
@@ -124,8 +124,8 @@ def test_what_happens_in_one_block_only_cannot_be_foretold():
 def test_a_recording_in_fewer_than_three_pieces_has_no_folds():
     assert folds(6, count=2) == ()
     setting = setting_of(views_of(problem_of(np.random.default_rng(6), (Sensor.GYRO,)), {}, {}))
-    model = with_term(starting_model(setting, starting_noise(setting)), NOISE)
-    assert applied_to(model, starting_model(setting, starting_noise(setting))).noise_terms == (NOISE,)
+    model = with_term(model_without_effects(setting), NOISE)
+    assert applied_to(model, model_without_effects(setting)).noise_terms == (NOISE,)
 
 
 def test_a_jump_beside_a_drift_is_foretold_only_by_the_blocks_in_which_it_happens():

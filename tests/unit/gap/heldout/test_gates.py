@@ -13,8 +13,8 @@ from mavcal.calib.gap.heldout.folds import folds_of
 from mavcal.calib.gap.heldout.gates import gate_of
 from mavcal.calib.gap.heldout.shrink import held_out
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.exchange import stable_model
@@ -35,7 +35,7 @@ def selected(seed, gap, *only):
     hypotheses, _ = hypotheses_of(catalogue(), views)
     asked = [h for h in hypotheses if not only or h.effect.id in only]
     setting, contest = setting_of(views), Contest(asked)
-    chosen = select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA)
+    chosen = select(noise_fitted(model_without_effects(setting)).model, contest, ALPHA)
     return chosen, contest, folds_of(setting, 8)
 
 

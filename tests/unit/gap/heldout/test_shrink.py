@@ -11,8 +11,8 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.heldout.shrink import held_out
 from mavcal.calib.gap.model.hypotheses import hypotheses_of
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.progress import GapPace, GapStage
 from mavcal.calib.gap.search.contest import Contest
@@ -48,7 +48,7 @@ def chosen():
     views = views_of(problem_of(np.random.default_rng(3), (Sensor.ACCEL,), both), {}, {})
     hypotheses, _ = hypotheses_of(catalogue(), views)
     setting, contest = setting_of(views), Contest(hypotheses)
-    return select(noise_fitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA), contest
+    return select(noise_fitted(model_without_effects(setting)).model, contest, ALPHA), contest
 
 
 def keys(chosen):

@@ -9,8 +9,8 @@ import pytest
 
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import Model, NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import Model, NoiseTerm, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.search.added_noise import (
@@ -41,7 +41,7 @@ def model_of(seed: int, louder: tuple[int, ...], *, reference: ReferenceInfo = E
 
     problem = problem_of(np.random.default_rng(seed), (Sensor.GYRO,), gap, instances=2, reference=reference)
     setting = setting_of(views_of(problem, {}, {}))
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting)
 
 
 def noise(instances: tuple[int, ...]) -> AddedNoise:
@@ -68,7 +68,7 @@ def test_units_with_clocks_of_their_own_shake_at_frequencies_of_their_own(shaken
 
     problem = problem_of(np.random.default_rng(9), (Sensor.GYRO,), gap, instances=2, reference=ESTIMATOR)
     setting = setting_of(views_of(problem, {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     vibration = forward_models()["gyro_vibration"][-1]
     lines = [
         AddedNoise(Hypothesis(vibration, named), at_hz, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2)) for named in SETS
@@ -93,7 +93,7 @@ def test_of_a_difference_alone_any_instance_may_be_the_one(seed, louder):
     )
     setting = setting_of(views_of(GapProblem((pair,), ESTIMATOR, 40.0), {}, {}))
     assert [view.weights for view in setting.views] == [{0: 1.0, 1: -1.0}]
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     assert all(is_on_loud_instances(noise(named), model) for named in SETS)
     chances = [noise_score(noise(named).hypothesis, model).p for named in SETS]
     assert max(chances) < 1e-6
@@ -107,7 +107,7 @@ def with_learned(model: Model) -> Model:
         for v in model.setting.views
     )
     setting = setting_of(views)
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting)
 
 
 def test_where_noise_was_learned_from_a_flight_a_little_more_is_no_effect():
@@ -129,7 +129,7 @@ def a_line(size: float) -> tuple[Model, NoiseTerm]:
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,), gap)
     setting = setting_of(views_of(problem, {}, {}))
     term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"][-1], (0,)), 10.0)
-    model = noise_fitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
+    model = noise_fitted(with_term(model_without_effects(setting), term)).model
     return model, term
 
 

@@ -13,8 +13,8 @@ from mavcal.calib.gap.effects import by_id, forward_models
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Binning, Hypothesis
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects
 from mavcal.calib.gap.model.refinement import refined
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
@@ -37,7 +37,7 @@ from tests.unit.gap.synthetic import SIGMA, problem_of
 
 def start(seed):
     setting = setting_of(views_of(problem_of(np.random.default_rng(seed), (Sensor.ACCEL,)), {}, {}))
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting)
 
 
 def test_gain_beside_another_effect_is_the_ratio_of_least_squares():
@@ -67,7 +67,7 @@ def test_what_grows_to_the_end_of_a_recording_counts_to_its_end():
     late = SIGMA[Sensor.ACCEL] * np.exp((trace.t - trace.t[-1]) / 1.0)[:, None] * [3.0, 0.0, 0.0]
     trace = dataclasses.replace(trace, measured=trace.measured + late, observed=kept)
     setting = setting_of(views_of(dataclasses.replace(problem, traces=(trace,)), {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     energy = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
     assert energy == pytest.approx(float(((trace.residual[kept] / SIGMA[Sensor.ACCEL]) ** 2).sum()), rel=0.015)
 
@@ -110,7 +110,7 @@ def test_of_two_bands_the_lower_one_stands_for_both_however_loud_the_upper_one_i
     trace = Trace(Sensor.GYRO, (0,), t, measured, ideal, np.ones(len(t), bool), sigma=np.full(3, 0.003))
     problem = GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), 60.0)
     setting = setting_of(split(views_of(problem, {}, {})))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     assert [view.first > 0 for view in setting.views] == [False, True]
     for kind in ("step", "tone", "bias", "noise"):
         assert most_sensitive_series(Hypothesis(by_id()[f"gyro_{kind}"], (0,)), model)[1] == 0
@@ -146,7 +146,7 @@ def test_a_handicap_is_paid_by_effects_on_the_noise():
     rng = np.random.default_rng(4)
     loud = problem_of(rng, (Sensor.GYRO,), lambda t: SIGMA[Sensor.GYRO] * rng.normal(size=t.ideal.shape))
     setting = setting_of(views_of(loud, {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     (effect,) = forward_models()["gyro_noise"]
     assert dearer(lambda h: noise_score(Hypothesis(effect, (0,), 0, h), model)) == pytest.approx(-HANDICAP)
 
@@ -155,7 +155,7 @@ def test_a_handicap_reaches_the_contest():
     rng = np.random.default_rng(5)
     problem = problem_of(rng, (Sensor.ACCEL,), lambda _t: np.array([0.05, 0.0, 0.0]))
     setting = setting_of(views_of(problem, {}, {}))
-    beside = Projection(starting_model(setting, starting_noise(setting)))
+    beside = Projection(model_without_effects(setting))
     bias = by_id()["accel_bias"]
     assert dearer(lambda h: Contest(()).score(Hypothesis(bias, (0,), 0, h), beside)) == pytest.approx(-HANDICAP)
 
@@ -168,7 +168,7 @@ def exchanged(seed, size, kinds=("bias", "scale")):
 
     setting = setting_of(views_of(problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), gap), {}, {}))
     contest = Contest([Hypothesis(by_id()[f"accel_{kind}"], (0,)) for kind in kinds])
-    model, scores = starting_model(setting, starting_noise(setting)), []
+    model, scores = model_without_effects(setting), []
     for hypothesis in contest.hypotheses:
         scores.append(contest.score(hypothesis, Projection(model)))
         model = with_score(model, scores[-1])

@@ -10,8 +10,8 @@ import pytest
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.model.bands import split
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.exchange import _with_noise_fitted, evidence_deficit
@@ -37,7 +37,7 @@ def test_noise_shrinks_once_an_effect_on_the_mean_has_what_it_had_to_contain() -
     problem = problem_of(np.random.default_rng(3), (Sensor.ACCEL,), lambda _: np.array([0.0, offset, 0.0]))
     learned = dataclasses.replace(problem.traces[0], sigma_dof=500.0)
     setting = setting_of(split(views_of(dataclasses.replace(problem, traces=(learned,)), {}, {})))
-    bare = noise_fitted(starting_model(setting, starting_noise(setting))).model
+    bare = noise_fitted(model_without_effects(setting)).model
     bias = Hypothesis(by_id()["accel_bias"], (0,))
     found = Contest((bias,)).score(bias, Projection(bare))
     fitted = _with_noise_fitted(found, bare)

@@ -9,8 +9,8 @@ from mavcal.calib.gap import diagnose
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.timing import low_pass_gain
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import Term, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise
+from mavcal.calib.gap.model.joint import Term, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search.contest import noise_score
 from mavcal.calib.gap.search.filtered_noise import evidence_of_filters, filter_evidence
@@ -38,7 +38,7 @@ def made(noise, level=1.0, way=0):
 
 def said(problem, effect="gyro_low_pass"):
     setting = setting_of(views_of(problem, {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     return filter_evidence(Hypothesis(by_id()[effect], (0,)), CUTOFF, model)
 
 
@@ -63,7 +63,7 @@ def test_noise_that_a_filter_has_shaped_has_no_cause_of_its_own():
     problem = made(noise=True)
     loose = dataclasses.replace(problem, traces=(dataclasses.replace(problem.traces[0], sigma_dof=50.0),))
     setting = setting_of(views_of(loose, {}, {}))
-    model = noise_fitted(starting_model(setting, starting_noise(setting))).model
+    model = noise_fitted(model_without_effects(setting)).model
     flicker = Hypothesis(by_id()["gyro_flicker"], (0,))
     assert noise_score(flicker, model).gain > 50.0
     filtered = dataclasses.replace(model, terms=(Term(Hypothesis(by_id()["gyro_low_pass"], (0,)), np.ones(1), CUTOFF),))

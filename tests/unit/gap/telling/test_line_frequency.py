@@ -7,8 +7,8 @@ import pytest
 
 from mavcal.calib.gap.effects.replay import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import NoiseTerm, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.telling.estimates import frequency_sd
 from mavcal.calib.recording import Sensor
@@ -23,7 +23,7 @@ def with_line(seed, shaking, hz=HZ):
     problem = problem_of(np.random.default_rng(seed), (Sensor.GYRO,), shaking)
     setting = setting_of(views_of(problem, {}, {}))
     term = NoiseTerm(Hypothesis(LINE, (0,)), hz)
-    return noise_fitted(with_term(starting_model(setting, starting_noise(setting)), term)).model, term
+    return noise_fitted(with_term(model_without_effects(setting), term)).model, term
 
 
 def shaken(trace, hz=HZ):

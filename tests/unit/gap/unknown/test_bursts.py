@@ -7,8 +7,8 @@ import pytest
 
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import NoiseTerm, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.unknown.misattributed_noise import bursts
@@ -25,7 +25,7 @@ def louder_while(when):
     seen = np.ones(len(t), dtype=bool)
     trace = Trace(Sensor.ACCEL, (0,), t, noise, 0.0 * noise, seen, sigma=np.full(3, SD))
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), SECONDS), {}, {}))
-    start = starting_model(setting, starting_noise(setting))
+    start = model_without_effects(setting)
     term = NoiseTerm(Hypothesis(forward_models()["accel_noise"][-1], (0,)), np.nan)
     return noise_fitted(with_term(start, term)).model
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.unknown.discrepancy import BURSTS, WAVES, bets_of, burst_bet, log_odds, wave_bet, winning_bets
@@ -22,7 +22,7 @@ def bets(change, *, seed=0, **over):
     measured = SD * np.random.default_rng(seed).normal(size=(N, 3)) + change
     trace = Trace(G, (0,), t, measured, np.zeros((N, 3)), np.ones(N, dtype=bool), **{"sigma": np.full(3, SD), **over})
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
-    return bets_of(starting_model(setting, starting_noise(setting)))
+    return bets_of(model_without_effects(setting))
 
 
 def rare_bursts(seed=3, times=1.0, lasts=0.4, part=0.1):

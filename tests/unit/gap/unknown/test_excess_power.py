@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.unknown.excess_power import excess_power
@@ -20,7 +20,7 @@ def left_of(change, *, seed=0, **over):
     measured = SD * np.random.default_rng(seed).normal(size=(N, 3)) + change(t)
     trace = Trace(G, (0,), t, measured, np.zeros((N, 3)), np.ones(N, dtype=bool), **{"sigma": np.full(3, SD), **over})
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
-    return excess_power(starting_model(setting, starting_noise(setting)))
+    return excess_power(model_without_effects(setting))
 
 
 def spike_at(row):
@@ -102,7 +102,7 @@ def jolted(*, lasts, outside=False, sensor=Sensor.ACCEL):
     psd = np.full((50, 3), SD**2)
     trace = Trace(sensor, (0,), t, measured, ideal, np.ones(N, dtype=bool), psd=psd, psd_hz=hz, sigma_dof=1e4)
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
-    return excess_power(starting_model(setting, starting_noise(setting)), outside=outside)
+    return excess_power(model_without_effects(setting), outside=outside)
 
 
 def test_what_lasts_as_long_as_a_touchdown_is_no_error_of_the_accelerometer():

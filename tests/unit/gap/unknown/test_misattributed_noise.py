@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import NoiseTerm, setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import NoiseTerm, setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.unknown.misattributed_noise import (
@@ -34,7 +34,7 @@ def model_of(change, *, rounding=0.0, seed=0, n=N, live=(1.0, 1.0, 1.0), **over)
         measured = np.round(measured / rounding) * rounding
     trace = Trace(G, (0,), t, measured, ideal, np.ones(n, dtype=bool), **{"sigma": np.full(3, SD), **over})
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), n / FS), {}, {}))
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting)
 
 
 def wandering(model):
@@ -149,4 +149,4 @@ def test_a_learned_spectrum_is_not_asked_whether_it_swells():
         for v in model.setting.views
     )
     setting = setting_of(views)
-    assert nonstationary_noise(starting_model(setting, starting_noise(setting))) == []
+    assert nonstationary_noise(model_without_effects(setting)) == []

@@ -11,8 +11,8 @@ import pytest
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest
@@ -27,7 +27,7 @@ def model_of(sensor=Sensor.ACCEL, gap=None, *, instances=1, seed=1, **over):
     problem = problem_of(np.random.default_rng(seed), (sensor,), gap, instances=instances)
     traces = tuple(dataclasses.replace(t, **over) for t in problem.traces)
     setting = setting_of(views_of(dataclasses.replace(problem, traces=traces), {}, {}))
-    return starting_model(setting, starting_noise(setting))
+    return model_without_effects(setting)
 
 
 def named(model):
@@ -280,6 +280,6 @@ def test_an_instance_with_a_reference_and_a_longer_difference_has_one_shape_for_
     views = views_of(dataclasses.replace(problem, traces=(taken(two, slice(20, -30)), *pairs)), {}, {})
     assert len({len(t.t) for view in views for t in view.traces.values()}) == 2
     setting = setting_of(views)
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     h = next(h for s in shapes_of(setting) for h in s.hypotheses if h.instances == (2,) and "throttle on" in h.key[0])
     assert Contest((), budget=0).score(h, Projection(model)).df > 0

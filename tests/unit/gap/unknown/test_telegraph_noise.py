@@ -11,8 +11,8 @@ import pytest
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.model.hypotheses import Hypothesis
-from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of, starting_model, with_residual
-from mavcal.calib.gap.model.noise_fit import noise_fitted, starting_noise, with_term
+from mavcal.calib.gap.model.joint import NoiseTerm, Term, setting_of, with_residual
+from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted, with_term
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.unknown.telegraph_noise import telegraph_noise, two_levels
@@ -37,7 +37,7 @@ def drifting(change, seed=0):
     measured = ideal + SD * rng.normal(size=ideal.shape) + change
     trace = Trace(G, (0,), t, measured, ideal, np.ones(N, dtype=bool), sigma=np.full(3, SD))
     setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
-    start = noise_fitted(starting_model(setting, starting_noise(setting)))
+    start = noise_fitted(model_without_effects(setting))
     term = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
     walking = noise_fitted(with_term(start.model, term))
     gain = sum(start.deviance.values()) - sum(walking.deviance.values())
@@ -82,7 +82,7 @@ def test_a_constant_of_another_unit_is_no_jump_of_the_one_that_has_a_bias(seed):
     setting = setting_of(views_of(problem, {}, {}))
     assert len(setting.views) == 2
     bias = Hypothesis(forward_models()["gyro_bias"][-1], (0,))
-    start = noise_fitted(starting_model(setting, starting_noise(setting))).model
+    start = noise_fitted(model_without_effects(setting)).model
     model = with_residual(dataclasses.replace(start, terms=(Term(bias, SD * offsets[0], np.nan),)))
     assert telegraph_noise(model, (Attribution(bias.key, 1e4, 3, 1.0, 0.9, 0.0, ()),)) == ()
 
@@ -103,7 +103,7 @@ def test_a_drift_of_one_sensor_is_asked_beside_what_all_of_them_share():
 
     problem = problem_of(np.random.default_rng(7), (Sensor.ACCEL, G), gap)
     setting = setting_of(views_of(problem, {}, {}))
-    start = noise_fitted(starting_model(setting, starting_noise(setting)))
+    start = noise_fitted(model_without_effects(setting))
     walk = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
     drift = Hypothesis(forward_models()["clock_drift"][-1], (0,))
     clock = Term(drift, np.ones(1), 20.0)

@@ -17,10 +17,9 @@ from mavcal.calib.gap.model.joint import (
     jacobian,
     normal_equations,
     setting_of,
-    starting_model,
     with_residual,
 )
-from mavcal.calib.gap.model.noise_fit import FittedNoise, starting_noise
+from mavcal.calib.gap.model.noise_fit import FittedNoise, model_without_effects
 from mavcal.calib.gap.model.normal_equations import solved
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.schema import GapVerdict
@@ -101,7 +100,7 @@ def stepped(gap, at=ON_S, size=SIZE):
     setting = setting_of(views_of(problem, {}, {}))
     step = next(e for e in catalogue() if e.id == "accel_step" and not e.form)
     term = Term(Hypothesis(step, (0,)), np.array(size), at)
-    bare = starting_model(setting, starting_noise(setting))
+    bare = model_without_effects(setting)
     return with_residual(dataclasses.replace(bare, terms=(term,)))
 
 
@@ -123,7 +122,7 @@ def test_jumps_within_a_sample_and_a_half_are_one_moment(apart, events):
     setting = setting_of(views_of(problem, {}, {}))
     step = next(e for e in catalogue() if e.id == "accel_step" and not e.form)
     terms = tuple(Term(Hypothesis(step, (i,)), SIZE, ON_S + i * apart) for i in (0, 1))
-    bare = starting_model(setting, starting_noise(setting))
+    bare = model_without_effects(setting)
     model = with_residual(dataclasses.replace(bare, terms=terms))
     assert len(transitions(model)) == events
     if not events:
@@ -181,7 +180,7 @@ def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
     problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,))
     setting = setting_of(views_of(problem, {}, {}))
     walk = Hypothesis(next(e for e in catalogue() if e.id == "gyro_random_walk"), (0,))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     left_out = (JumpSpan(Sensor.GYRO, 10.0, 12.0, nats=100.0),)
     assert len(transient_events(left_out, model)) == 1
     model = dataclasses.replace(model, noise_terms=(NoiseTerm(walk, np.nan),))
@@ -192,7 +191,7 @@ def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
 def test_changes_that_overlap_are_said_once():
     problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,))
     setting = setting_of(views_of(problem, {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     spans = [(Sensor.MAG, 33.8, 39.3), (Sensor.MAG, 143.1, 147.3), (Sensor.MAG, 33.0, 39.1), (Sensor.ACCEL, 38.0, 40.0)]
     left_out = tuple(JumpSpan(sensor, start, end, nats=10.0) for sensor, start, end in spans)
     said = [(one.sensor, one.start, one.end, one.nats) for one in transient_events(left_out, model)]

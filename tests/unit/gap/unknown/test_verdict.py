@@ -7,8 +7,8 @@ import pytest
 
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.model.joint import setting_of, starting_model
-from mavcal.calib.gap.model.noise_fit import starting_noise
+from mavcal.calib.gap.model.joint import setting_of
+from mavcal.calib.gap.model.noise_fit import model_without_effects
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.unknown.excess_power import excess_power
 from mavcal.calib.gap.unknown.misattributed_noise import Unexplained
@@ -68,7 +68,7 @@ def test_what_the_references_own_nuisance_leave_over_is_not_unknown():
     problem = problem_of(np.random.default_rng(3), (Sensor.ACCEL,), humming)
     views = views_of(problem, {}, {})
     setting = setting_of(views)
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     (left,) = excess_power(model)
     assert left.sensor is Sensor.ACCEL
     assert "Hz on accel" in left.text
@@ -78,7 +78,7 @@ def test_what_the_references_own_nuisance_leave_over_is_not_unknown():
 
 def test_what_stands_for_several_effects_is_said_once():
     setting = setting_of(views_of(problem_of(np.random.default_rng(4), (Sensor.ACCEL,)), {}, {}))
-    model = starting_model(setting, starting_noise(setting))
+    model = model_without_effects(setting)
     texts = ("approach with 10 s on accel, or accel_bias", "3 jumps on accel", "a drift on accel")
     causes = [UnnamedCause((("accel_bias", (i,)),), texts[j]) for i, j in enumerate((0, 1, 0))]
     found = unknown_of(
