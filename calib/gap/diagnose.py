@@ -38,6 +38,7 @@ from mavcal.calib.gap.search.exchange import StableModel, stable_model, without_
 from mavcal.calib.gap.search.lattice_effects import Lattice, covered_by, lattice_of
 from mavcal.calib.gap.search.power import powers_of
 from mavcal.calib.gap.search.selection import ChosenModel, refitted_without, select
+from mavcal.calib.gap.search.terms import member_of
 from mavcal.calib.gap.search.thresholds import GainThresholds
 from mavcal.calib.gap.search.wander import WanderFit, fit_wander
 from mavcal.calib.gap.telling.effect_report import (
@@ -318,12 +319,10 @@ def _report(task: _Setup, answer: _Answer, alpha: float, *, nested: bool) -> Gap
     found = unnamed_causes_in(model, answer.reported, task.problem.minimum_gain.steady_report)
     unnamed = (s for s in found if not answer.tolerated.issuperset(s.keys))
     members = {t.hypothesis.key: t.hypothesis.effect for t in model.members}
-    gap = {a.key for a in answer.reported}
-    loose = {key: names for key, names in unbounded_parameters(chosen).items() if key in gap}
     causes = (
         *unnamed,
         *improbable_effects(answer.reported, members, beside_withdrawn=bool(answer.withdrawn)),
-        *unbounded_causes(chosen, loose),
+        *unbounded_causes(chosen, {a.key for a in answer.reported}),
     )
     unknown = _unexplained_part(task, answer, causes)
     effects = _effects(task, answer, causes, beside_unknown=unknown.flag)
@@ -416,8 +415,7 @@ def _effect(
     """One effect of the model; `sure`: how likely its unit has it, and not the other of two; None: for certain."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
-    term = next(t for t in answer.chosen.model.members if t.hypothesis.key == attribution.key)
-    effect = with_equal_effects(effect, answer.chosen.model, term)
+    effect = with_equal_effects(effect, answer.chosen.model, member_of(answer.chosen.model, attribution.key))
     views = answer.chosen.model.setting.views
     units = {i + FIRST for view in views if view.sensor is effect.sensor for i in view.weights}
     if task.problem.reference.kind is ReferenceKind.ESTIMATOR:

@@ -33,7 +33,7 @@ from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.gap.search.contest import Contest
 from mavcal.calib.gap.search.evidence import prior_sd
-from mavcal.calib.gap.search.terms import locally_fitted, without_effect
+from mavcal.calib.gap.search.terms import locally_fitted, with_member, without_effect
 from mavcal.calib.gap.search.thresholds import GainThresholds
 
 Array = NDArray[np.float64]
@@ -95,9 +95,7 @@ def _starting_model(views: Sequence[View]) -> Model:
 
 def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False) -> Model:
     """The model with a term of another setting, fitted from its present values; with `hold` shapes are held."""
-    if isinstance(term, NoiseTerm):
-        return locally_fitted(with_term(model, term), term.hypothesis, hold=hold)
-    return locally_fitted(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis, hold=hold)
+    return locally_fitted(with_member(model, term), term.hypothesis, hold=hold)
 
 
 def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:

@@ -36,10 +36,10 @@ from mavcal.calib.gap.search.contest import Contest, ContestScore
 from mavcal.calib.gap.search.projection import Projection
 from mavcal.calib.gap.search.terms import (
     Gains,
-    hypothesis_of,
     jointly_fitted,
     locally_fitted,
     marginal_gains,
+    member_of,
     with_score,
     without_effect,
 )
@@ -391,7 +391,7 @@ def pruned(
         if not weak or len(joined) < 2:
             return model, joined, gains
         key = max(weak, key=lambda pair: pair[1])[0]
-        gone = hypothesis_of(model, key)
+        gone = member_of(model, key).hypothesis
         joined = [s for s in joined if s.hypothesis.key != key]
         model = locally_fitted(without_effect(model, key), gone)
 
@@ -408,7 +408,9 @@ def refitted_without(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
 
 def _without_second_order(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
     small = [
-        k for k, (gain, _, _) in gains.items() if gain < _second_order_limit(hypothesis_of(model, k), model, gains)
+        k
+        for k, (gain, _, _) in gains.items()
+        if gain < _second_order_limit(member_of(model, k).hypothesis, model, gains)
     ]
     for key in small:
         model = without_effect(model, key)

@@ -44,8 +44,14 @@ def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) 
 def with_score(model: Model, score: ContestScore) -> Model:
     """The model with the hypothesis of a score."""
     if isinstance(score.hypothesis.effect, NoiseEffect):
-        return with_term(model, NoiseTerm(score.hypothesis, score.theta))
-    term = Term(score.hypothesis, score.beta, score.theta)
+        return with_member(model, NoiseTerm(score.hypothesis, score.theta))
+    return with_member(model, Term(score.hypothesis, score.beta, score.theta))
+
+
+def with_member(model: Model, term: Term | NoiseTerm) -> Model:
+    """The model with one term more, not fitted again."""
+    if isinstance(term, NoiseTerm):
+        return with_term(model, term)
     return with_residual(replace(model, terms=(*model.terms, term)))
 
 
@@ -110,6 +116,6 @@ def _mean_marginal_gains(model: Model, contest: Contest) -> dict[Key, tuple[floa
     return found
 
 
-def hypothesis_of(model: Model, key: Key) -> Hypothesis:
-    """The hypothesis of an effect of the model."""
-    return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
+def member_of(model: Model, key: Key) -> Term | NoiseTerm:
+    """The term of that key."""
+    return next(term for term in model.members if term.hypothesis.key == key)

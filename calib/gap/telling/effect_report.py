@@ -14,6 +14,7 @@ from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.heldout.shrink import block_agreement
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.search.terms import member_of
 from mavcal.calib.gap.search.wander import WanderFit, rms_rotation, sees_attitude
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
@@ -32,8 +33,7 @@ _MIDDLE, _LEAST, _MOST = 2.3, 1.3, 3.3
 
 def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
     """The estimate of an effect; `passed`: whether held-out blocks confirm it, None if undecided."""
-    term = next(t for t in chosen.model.members if t.hypothesis.key == found.key)
-    dose = block_agreement(chosen, found.key)
+    term, dose = member_of(chosen.model, found.key), block_agreement(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     probability = calibrated_probability(found.probability, found.gain, beside_unknown=beside_unknown)
     return EffectEstimate(

@@ -22,6 +22,7 @@ from mavcal.calib.gap.model.views import View
 from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate, Rival
 from mavcal.calib.gap.search.selection import ChosenModel
+from mavcal.calib.gap.search.terms import member_of
 from mavcal.calib.gap.telling.estimates import estimates_of
 from mavcal.calib.gap.unknown.verdict import UnnamedCause
 from mavcal.calib.recording import Sensor
@@ -46,13 +47,13 @@ def unbounded_parameters(chosen: ChosenModel) -> dict[Key, str]:
     return found
 
 
-def unbounded_causes(chosen: ChosenModel, loose: dict[Key, str]) -> Iterator[UnnamedCause]:
-    """Unnamed causes in place of effects with unbounded parameters."""
-    for term in chosen.model.members:
-        effect = term.hypothesis.effect
-        if (names := loose.get(term.hypothesis.key)) is not None:
+def unbounded_causes(chosen: ChosenModel, reported: Collection[Key]) -> Iterator[UnnamedCause]:
+    """Unnamed causes in place of `reported` effects with unbounded parameters."""
+    for key, names in unbounded_parameters(chosen).items():
+        if key in reported:
+            effect = member_of(chosen.model, key).hypothesis.effect
             like = f"a difference on {effect.sensor.value} like {effect.plain}"
-            yield UnnamedCause((term.hypothesis.key,), f"{like}, whose {names} these data do not bound")
+            yield UnnamedCause((key,), f"{like}, whose {names} these data do not bound")
 
 
 _ERRORS = 2.0
