@@ -14,11 +14,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.export import MAV_PARAM_TYPE, ParameterFormat, number, write_plan
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.gap.export.airframe import Patch, airframe_effects, airframe_patch, sih
-from mavcal.calib.gap.export.airframe.matlab import airframe_struct
 from mavcal.calib.gap.export.airframe.patch import is_sih
-from mavcal.calib.gap.export.airframe.sdf import airframe_sdf
-from mavcal.calib.gap.export.documents import to_document, to_matlab_text
-from mavcal.calib.gap.export.gazebo import to_sdf
+from mavcal.calib.gap.export.documents import airframe_struct, to_document, to_matlab_text
+from mavcal.calib.gap.export.gazebo import airframe_sdf, to_sdf
 from mavcal.calib.gap.export.sitl import SitlPatch, older_names, patch
 from mavcal.calib.gap.export.state import doubt_text, named, sensor_effects
 from mavcal.calib.gap.export.vehicle import vehicle_plan
@@ -129,17 +127,17 @@ def exported(
             patched = _airframe_patch(report, real, target, base, frame, mass)
             return Exported(*_of_simulator(found, target, base, frame, patched, air), doubtful)
         case Target.GAZEBO:
-            snippet, model = to_sdf(found, instance=instance), airframe_sdf(flying, mass=mass)
-            text = f"{snippet.text if found.effects else ''}{model.text if flying else ''}"
-            return Exported(text, (*snippet.not_held, *model.lost, *air), doubtful)
+            (sensors, lost), (model, left) = to_sdf(found, instance=instance), airframe_sdf(flying, mass=mass)
+            text = f"{sensors if found.effects else ''}{model if flying else ''}"
+            return Exported(text, (*lost, *left, *air), doubtful)
         case Target.MATLAB:
-            script, (lines, lost) = to_matlab_text(found, instance=instance), airframe_struct(flying, mass=mass)
-            notes = [f"% not held: {text}".replace("\n", " ") for text in lost]
-            return Exported(_joined(script.text, [*notes, *lines]), (*script.not_held, *lost, *air), doubtful)
+            script, lost = to_matlab_text(found, instance=instance)
+            struct, left = airframe_struct(flying, mass=mass)
+            return Exported(script + struct, (*lost, *left, *air), doubtful)
         case Target.MAVCAL:
-            document = to_document(found, instance=instance)
-            lost = [f"{named(e)}: mavcal simulate has sensors and no airframe" for e in flying]
-            return Exported(document.text, (*document.not_held, *lost, *air), doubtful)
+            document, lost = to_document(found, instance=instance)
+            left = tuple(f"{named(e)}: mavcal simulate has sensors and no airframe" for e in flying)
+            return Exported(document, (*lost, *left, *air), doubtful)
         case Target.VEHICLE:
             plan, left = vehicle_plan(replace(report, effects=kept), real)
             return Exported(write_plan(plan, form), (*left, *air))
@@ -232,7 +230,3 @@ def sih_text(found: Patch, lost: tuple[str, ...]) -> str:
     kind = MAV_PARAM_TYPE[ParameterKind.REAL32]
     lines = [f"1\t1\t{name}\t{number(v)}\t{kind}" for name, v in found.parameters.items()]
     return "\n".join([*(h.replace("\n", " ") for h in head), *lines]) + "\n"
-
-
-def _joined(text: str, lines: list[str]) -> str:
-    return text + "".join(f"{line}\n" for line in lines)

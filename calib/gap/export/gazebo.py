@@ -1,21 +1,26 @@
-"""A report as sensor noise of Gazebo's SDF, as PX4's models have it (FLIGHT_CONTROLLERS 7.2).
+"""A report as SDF of Gazebo: noise of sensors (FLIGHT_CONTROLLERS 7.2), motor model and inertia (AIRFRAME 4.3).
 
 Gazebo's axes are forward-left-up. A constant error goes into ``mean``: the sign of ``bias_mean`` is drawn again at
 every start. A random walk of coefficient K becomes the slow part of a Gauss-Markov process: ``sigma^2 = K^2 tau / 2``.
+
+A flight does not say what the model's own motors are. Their values are the plugin's defaults with the effects; a
+comment beside each says what to do with another model's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.effects.traits import SensorTerm
+from mavcal.calib.gap.export.airframe.patch import airframe_effects
+from mavcal.calib.gap.export.airframe.wanted import Wanted, missing, wanted_of
 from mavcal.calib.gap.export.state import named, sensors_with, term_of
-from mavcal.calib.gap.schema import GapReport
+from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import FLU_FROM_FRD
 from mavcal.calib.simulate.sensor import SensorErrors
@@ -35,18 +40,31 @@ _TAGS = {
     Sensor.GYRO: ("imu", "angular_velocity"),
     Sensor.MAG: ("magnetometer", None),
 }
+DEFAULTS: Mapping[str, float] = {
+    "motorConstant": 8.54858e-06,
+    "momentConstant": 0.016,
+    "rotorDragCoefficient": 1e-4,
+    "timeConstantUp": 0.0125,
+    "timeConstantDown": 0.025,
+}
+"""Motor model. Source: gz-sim's MulticopterMotorModel.cc."""
+REASONS: Mapping[str, str] = {
+    "thrust_expo": "Gazebo's thrust goes with the square of the speed, and the bridge makes the speed of the command",
+    "actuator_delay": "Gazebo has no delay between a command and its thrust",
+    "body_drag": "Gazebo's motor model has no drag of the body",
+    "inflow": "Gazebo's motor model has no inflow",
+    "translational_lift": "Gazebo's motor model has no translational lift",
+    "angular_damping": "Gazebo's damping is that of the rotors moving with their arms: it follows their drag",
+    "torque_bias": "Gazebo has no constant torque",
+    "battery_sag": "Gazebo's battery does not touch the thrust",
+    "payload_step": "Gazebo's links keep their mass",
+}
+"""What the simulator has nothing for. Source: AIRFRAME 4.3."""
+_PLUGIN = '<plugin filename="gz-sim-multicopter-motor-model-system" name="gz::sim::systems::MulticopterMotorModel">'
 
 
-@dataclass(frozen=True)
-class SdfSnippet:
-    """The ``<sensor>`` elements, and what they cannot hold."""
-
-    text: str
-    not_held: tuple[str, ...]
-
-
-def to_sdf(report: GapReport, *, instance: int = 1) -> SdfSnippet:
-    """Noise elements for the sensors of `instance` (from 1)."""
+def to_sdf(report: GapReport, *, instance: int = 1) -> tuple[str, tuple[str, ...]]:
+    """Noise elements for the sensors of `instance` (from 1), and what they cannot hold."""
     chosen = tuple(e for e in report.effects if instance in e.instances)
     held = tuple(e for e in chosen if term_of(e) in _HELD)
     sensors = sensors_with(held)
@@ -62,7 +80,7 @@ def to_sdf(report: GapReport, *, instance: int = 1) -> SdfSnippet:
     notes = [f"  <!-- not held: {_commented(text)} -->" for text in lost]
     rates = ", ".join(f"{s.value} {RATES[s]:g} Hz" for s in present)
     head = "<!-- mavcal: sim-to-real gap as sensor noise; axes forward-left-up, SI units and tesla"
-    return SdfSnippet("\n".join([f"{head}; at {rates or 'any rate'} -->", *notes, *blocks]) + "\n", tuple(lost))
+    return "\n".join([f"{head}; at {rates or 'any rate'} -->", *notes, *blocks]) + "\n", tuple(lost)
 
 
 def noise_of(errors: SensorErrors, sensor: Sensor, axis: int) -> dict[str, float]:
@@ -103,3 +121,72 @@ def _wrapped(parent: str, lines: list[str]) -> str:
 
 def _commented(text: str) -> str:
     return text.replace("--", "- -")
+
+
+def airframe_sdf(effects: Sequence[EffectEstimate], *, mass: float | None = None) -> tuple[str, tuple[str, ...]]:
+    """Motor model and inertial elements with the airframe's effects, and what they cannot hold; `mass` in kg."""
+    chosen = airframe_effects(effects)
+    wanted = wanted_of(chosen)
+    lost = [*missing(chosen, REASONS), *wanted.refused]
+    if wanted.slew is not None:
+        lost.append("motor_lag: Gazebo's motors have time constants and no limit of the rate")
+    lines = _motor_model(wanted, lost)
+    blocks = [_block(lines, None)] if lines else []
+    blocks += [_block([_times("motorConstant", wanted.thrust * r)], n) for n, r in sorted(wanted.weak.items())]
+    inertial = _inertial(wanted, mass)
+    if inertial:
+        blocks.append("\n".join(["<inertial>", *(f"  {line}" for line in inertial), "</inertial>"]))
+    head = "<!-- mavcal: airframe; values are the plugin's defaults with the effects, axes forward-left-up -->"
+    notes = [f"<!-- not held: {_commented(text)} -->" for text in lost]
+    return "\n".join([head, *notes, *blocks]) + "\n", tuple(lost)
+
+
+def _motor_model(wanted: Wanted, lost: list[str]) -> list[str]:
+    """The speed at hover falls with the root of a rising constant, and the rotors' drag with that speed."""
+    lines = []
+    if wanted.thrust != 1.0:
+        lines.append(_times("motorConstant", wanted.thrust))
+    if wanted.yaw != 1.0:
+        lines.append(_times("momentConstant", wanted.yaw))
+    drag = wanted.rotor_drag * math.sqrt(wanted.thrust)
+    if drag != 1.0:
+        lines.append(_times("rotorDragCoefficient", drag))
+    for name, added in zip(("timeConstantUp", "timeConstantDown"), wanted.lag or (), strict=False):
+        value = DEFAULTS[name] + added
+        if value < 0.0:
+            lost.append(f"motor_lag: {name} would be {value:.3g} s; it stays at 0 or more")
+        lines.append(f"{_element(name, max(0.0, value))} <!-- {added:+.4g} s to the model's own -->")
+    return lines
+
+
+def _inertial(wanted: Wanted, mass: float | None) -> list[str]:
+    lines = []
+    if mass is not None:
+        lines.append(_element("mass", mass))
+        lines.append(
+            f"<!-- motorConstant, rotorDragCoefficient and inertia times {mass:.6g} over the model's own mass -->"
+        )
+    if wanted.inertia != (1.0, 1.0, 1.0):
+        said = ", ".join(f"{n} times {r:.5g}" for n, r in zip(("ixx", "iyy", "izz"), wanted.inertia, strict=True))
+        lines.append(f"<!-- inertia: {said} -->")
+    signed = (-wanted.products[0], -wanted.products[1], wanted.products[2])  # forward-left-up
+    for name, moment, added in zip(("ixy", "ixz", "iyz"), ("iyy", "izz", "izz"), signed, strict=True):
+        if added:
+            lines.append(f"<!-- inertia: {name} {added:+.5g} times {moment} to the model's own -->")
+    if any(wanted.cg):
+        ahead, right = wanted.cg
+        lines.append(f"<!-- pose: x {ahead:+.5g}, y {-right:+.5g} times the longest arm to the model's own -->")
+    return lines
+
+
+def _times(name: str, ratio: float) -> str:
+    return f"{_element(name, DEFAULTS[name] * ratio)} <!-- the model's own times {ratio:.5g} -->"
+
+
+def _element(name: str, value: float) -> str:
+    return f"<{name}>{value:.6g}</{name}>"
+
+
+def _block(lines: Sequence[str], motor: int | None) -> str:
+    about = [] if motor is None else [f"{_element('motorNumber', motor - 1)} <!-- motor {motor} -->"]
+    return "\n".join([_PLUGIN, *(f"  {line}" for line in (*about, *lines)), "</plugin>"])
