@@ -23,12 +23,11 @@ from mavcal.calib.airframe.geometry import geometry_of
 from mavcal.calib.airframe.ground import ID as GROUND
 from mavcal.calib.airframe.ground import ground_gap
 from mavcal.calib.airframe.heldout import Parted, alone, held_out
-from mavcal.calib.airframe.load import with_load
 from mavcal.calib.airframe.low import NearGround, near_ground
 from mavcal.calib.airframe.nameless import GROUPS
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
-from mavcal.calib.airframe.slew import with_limit
+from mavcal.calib.airframe.searched import with_limit, with_load
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
 from mavcal.calib.airframe.told import (
     EVEN_ODDS,

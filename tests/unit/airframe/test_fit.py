@@ -15,8 +15,8 @@ from mavcal.calib.airframe.nameless import PREFIX
 from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself
 from mavcal.calib.airframe.physics import Airframe, Kind, Layout
 from mavcal.calib.airframe.priors import prior_of
+from mavcal.calib.airframe.searched import with_limit
 from mavcal.calib.airframe.signals import kept_below, spline
-from mavcal.calib.airframe.slew import with_limit
 from mavcal.calib.inference.search import search
 from tests.unit.airframe.made import HZ, G, airframe, flight, theta
 

@@ -1,4 +1,7 @@
-"""A limit on how fast a motor's command may change: an exact shape, found on a grid and then refined (AIRFRAME 4.1)."""
+"""What a fit by slopes does not find: the moment at which a load changes, and a limit on the rate of a motor's command.
+
+Both are searched for on a grid, and the flight is then fitted with what suits it best.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,20 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.airframe.effects import AirframeEffect
 from mavcal.calib.airframe.fit import FlightLikelihood
 from mavcal.calib.airframe.pair import PairEvidence, Side, about
 
+Array = NDArray[np.float64]
+
+_SMOOTH_S: Final = 0.5
+_EDGE_S: Final = 5.0
+"""A step so near to either end of a flight is told from nothing. Chosen, not measured: a hover of some seconds."""
+_LEAST_STEP: Final = 0.01
+"""Part of the mass below which a step is not looked at. Source: a third of the least that AIRFRAME 6 asks for."""
 _RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4)
 """Limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
 _REACHED: Final = 99.8
@@ -22,6 +34,29 @@ _WORTH: Final = 10.0
 """Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
 _LOST: Final = 3
 """Limits that must all lose likelihood before slower ones are left out. Source: even a limit that is too fast helps."""
+
+
+def with_load(likelihood: FlightLikelihood, theta: Array) -> FlightLikelihood:
+    """The same flight with a step of its mass allowed at the moment where it suits the vertical force best."""
+    flight = likelihood.airframe.flight
+    predicted, _ = likelihood.airframe.predicted(theta)
+    width = max(round(_SMOOTH_S * flight.fs), 1)
+    down, told = (uniform_filter1d(x[:, 2], width) for x in (flight.force, predicted))
+    rows = np.flatnonzero(likelihood.usable)
+    ratio = down[rows] / told[rows] - 1.0
+    edge = round(_EDGE_S * flight.fs)
+    if len(ratio) < 4 * edge:
+        return likelihood
+    count = np.arange(1, len(ratio))
+    before = np.cumsum(ratio)[:-1] / count
+    after = (ratio.sum() - np.cumsum(ratio)[:-1]) / (len(ratio) - count)
+    gain = count * (len(ratio) - count) * (before - after) ** 2
+    gain[:edge] = gain[-edge:] = 0.0
+    most = int(gain.argmax())
+    if abs(before[most] - after[most]) < _LEAST_STEP:
+        return likelihood
+    at = float(flight.t[rows[most + 1]])
+    return _changed(likelihood, loaded_at=at)
 
 
 def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tuple[Side, float] | None:
@@ -41,7 +76,7 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
     theta[len(theta) - len(likelihood.airframe.free) :] = 0.0
     free, found = likelihood.loglik(theta, side.fit.spectra), {}
     for rate in tried:
-        found[rate] = _limited(likelihood, rate).loglik(theta, side.fit.spectra)
+        found[rate] = _changed(likelihood, slew=rate).loglik(theta, side.fit.spectra)
         if max(found.values()) < free and len(found) >= _LOST:
             return None
     best = max(found, key=lambda rate: found[rate])
@@ -53,10 +88,10 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
         rates = [best * (1.0 - spread), best, best * (1.0 + spread)]
         for rate in rates:
             if rate not in known:
-                made = about(Side(_limited(likelihood, rate), side.fit), theta)
+                made = about(Side(_changed(likelihood, slew=rate), side.fit), theta)
                 known[rate] = _evidence(replace(pair, slewed=made))
         best = _vertex(rates, [known[rate] for rate in rates])
-    return about(Side(_limited(likelihood, best), side.fit), theta), best
+    return about(Side(_changed(likelihood, slew=best), side.fit), theta), best
 
 
 def _evidence(pair: PairEvidence) -> float:
@@ -75,5 +110,5 @@ def _vertex(rates: Sequence[float], values: Sequence[float]) -> float:
     return float(rates[1] - 0.5 * (rates[2] - rates[1]) * (values[2] - values[0]) / bend)
 
 
-def _limited(likelihood: FlightLikelihood, rate: float | None) -> FlightLikelihood:
-    return FlightLikelihood(likelihood.airframe.changed(slew=rate), likelihood.usable, torque=likelihood.torque)
+def _changed(likelihood: FlightLikelihood, **changes: float) -> FlightLikelihood:
+    return FlightLikelihood(likelihood.airframe.changed(**changes), likelihood.usable, torque=likelihood.torque)
