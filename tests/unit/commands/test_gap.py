@@ -13,8 +13,7 @@ from click.testing import CliRunner
 from mavcal.calib.airframe.geometry import NAMED
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S
 from mavcal.calib.gap.schema import GapVerdict, LocatedGap, NotTestable, Regime, Rival, Shrink, Unknown
-from mavcal.calib.gap.telling.agreement import Remainder
-from mavcal.calib.gap.verify import Left, Size, Verified
+from mavcal.calib.gap.verify import Left, Remainder, Size, Verified
 from mavcal.service.commands import gap
 from mavcal.service.commands.gap import command
 from mavcal.service.commands.gap_options import FRAMES, LIMIT_S

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -16,11 +19,19 @@ from mavcal.calib.gap.export import Target, exported
 from mavcal.calib.gap.problem import ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
-from mavcal.calib.gap.telling.agreement import agreements, distance, remainders
-from mavcal.calib.gap.verify import _is_same_flight, _left_flying, verified_json, verify
+from mavcal.calib.gap.verify import (
+    _is_same_flight,
+    _left_flying,
+    agreements,
+    distance,
+    remainders,
+    verified_json,
+    verify,
+)
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.calib.simulate import SensorErrors, SensorSuite
 from mavcal.calib.simulate.document import stated_in
+from tests.examples import examples
 from tests.unit.gap.export.making import airframe, effect
 
 from .reference.test_recorded import channel
@@ -119,6 +130,79 @@ def test_a_log_with_the_truth_of_its_own_flight_is_not_the_same_flight_as_anothe
     assert not _is_same_flight(direct, real, other)
 
 
+def told(
+    *values: float, se: float = 0.01, instances: tuple[int, ...] = (1,), id_: str = "accel_bias"
+) -> EffectEstimate:
+    params = tuple(ParameterEstimate(f"p{k}", v, se, (v - se, v + se), "m/s2") for k, v in enumerate(values))
+    return dataclasses.replace(effect("accel_bias", instances), id=id_, params=params)
+
+
+@settings(max_examples=examples(40))
+@given(st.floats(-5.0, 5.0), st.floats(0.001, 1.0), st.floats(0.001, 1.0))
+def test_one_number_agrees_within_two_of_both_errors(difference: float, first: float, second: float) -> None:
+    one, other = told(0.0, se=first), told(difference, se=second)
+    apart = abs(difference) / math.hypot(first, second)
+    assert distance(one, other) == pytest.approx(apart / 2.0, rel=1e-3)
+    assert distance(one, other) == pytest.approx(distance(other, one))
+
+
+def test_the_largest_of_several_may_differ_by_more() -> None:
+    """As many more standard errors as the largest of several differs by chance: nothing is gained by more numbers."""
+    rng = np.random.default_rng(1)
+    for count in (1, 3, 12):
+        far = [
+            distance(told(*np.zeros(count), se=math.sqrt(0.5)), told(*rng.normal(size=count), se=math.sqrt(0.5))) > 1.0
+            for _ in range(400)
+        ]
+        assert np.mean(far) == pytest.approx(0.0455, abs=0.035)
+
+
+def test_only_what_both_know_is_compared() -> None:
+    one, other = told(0.0, 0.0), told(0.0, 9.0)
+    assert distance(one, other) > 1.0
+    assert distance(one, told(0.0)) == 0.0
+    endless = dataclasses.replace(other, params=(other.params[0], dataclasses.replace(other.params[1], se=math.inf)))
+    assert distance(one, endless) == distance(endless, one) == 0.0
+    assert distance(one, dataclasses.replace(other, params=())) == math.inf
+
+
+def test_numbers_that_are_exact_agree_only_with_themselves() -> None:
+    assert distance(told(1.0, se=0.0), told(1.0, se=0.0)) == 0.0
+    assert distance(told(1.0, se=0.0), told(1.1, se=0.0)) > 1e6
+
+
+def test_an_effect_agrees_with_the_same_one_of_the_same_instances() -> None:
+    mine = told(0.3)
+    for other in (told(0.3, id_="accel_scale"), told(0.3, instances=(2,)), told(0.3, instances=(1, 2))):
+        [found] = agreements([mine], [other])
+        assert (found.other, found.holds) == (None, False)
+    [found] = agreements([mine], [told(0.31), told(0.9)])
+    assert (found.other, found.holds) == (told(0.31), True)
+    assert agreements([mine], [told(0.327)])[0].holds  # by 1.9 standard errors of the difference
+    assert not agreements([mine], [told(0.33)])[0].holds  # by 2.1
+    [found] = agreements([mine], [told(0.9)])
+    assert (found.other, found.holds) == (told(0.9), False)  # it is there, and differs
+
+
+def test_of_several_steps_each_has_a_counterpart_of_its_own() -> None:
+    mine = [told(1.0), told(5.0), told(9.0)]
+    found = agreements(mine, [told(5.001), told(1.001)])
+    assert [f.other and f.other.params[0].value for f in found] == [1.001, 5.001, None]
+    assert [f.holds for f in found] == [True, True, False]
+    twice = agreements([told(1.0), told(1.0)], [told(1.0)])
+    assert [f.holds for f in twice] == [True, False]
+
+
+@settings(max_examples=examples(30))
+@given(st.lists(st.floats(-9.0, 9.0), max_size=6), st.lists(st.floats(-9.0, 9.0), max_size=6))
+def test_every_effect_has_a_row_and_no_counterpart_is_used_twice(mine: list[float], theirs: list[float]) -> None:
+    others = [told(value) for value in theirs]
+    found = agreements([told(value) for value in mine], others)
+    assert [f.effect.params[0].value for f in found] == mine
+    used = [id(f.other) for f in found if f.other is not None]
+    assert len(used) == len(set(used)) == min(len(mine), len(theirs))
+
+
 def stated(value: float, se: float, effect_id: str = "gyro_bias", instances: tuple[int, ...] = (1,)) -> EffectEstimate:
     axes = tuple(ParameterEstimate(f"bias.{a}", value, se, (value, value), "rad/s") for a in "xyz")
     return dataclasses.replace(effect(effect_id, instances), params=axes)
@@ -133,25 +217,6 @@ def test_what_differs_within_two_standard_errors_agrees() -> None:
     assert distance(one, dataclasses.replace(one, params=(stated(0.0201, 4e-5).params[0],))) == pytest.approx(
         1.0, rel=1e-3
     )
-
-
-def test_only_the_same_effect_on_the_same_units_is_compared() -> None:
-    before = stated(0.02, 3e-5)
-    others = [
-        stated(0.02, 3e-5, "accel_bias"),
-        stated(0.02, 3e-5, instances=(2,)),
-        stated(0.02, 3e-5, instances=(1, 2)),
-    ]
-    (found,) = agreements([before], others)
-    assert found.other is None
-    assert not found.holds
-
-
-def test_each_of_several_events_is_compared_with_the_one_that_is_like_it() -> None:
-    first, second = stated(0.02, 3e-5), stated(-0.02, 3e-5)
-    found = agreements([first, second], [stated(-0.02, 3e-5), stated(0.02, 3e-5)])
-    assert [a.other.params[0].value for a in found if a.other is not None] == [0.02, -0.02]
-    assert all(a.holds for a in found)
 
 
 def test_what_no_number_determines_is_not_the_same() -> None:
