@@ -119,13 +119,10 @@ class PairEvidence:
         """The effects of a model, in the catalogue's order."""
         return tuple(e for e in self.effects if e.block in model)
 
-    def _side(self, model: Model) -> Side:
-        slew = any(e.slew for e in self.chosen(model))
-        return self.slewed if slew and self.slewed is not None else self.real
-
     def side_of(self, model: Model) -> Side:
         """The real flight's side under a model."""
-        return self._side(model)
+        slew = any(e.slew for e in self.chosen(model))
+        return self.slewed if slew and self.slewed is not None else self.real
 
     @cached_property
     def _reals(self) -> dict[bool, Quadratic]:
@@ -147,7 +144,7 @@ class PairEvidence:
         chosen = self.chosen(model)
         rows, mean, sd = self._common
         places, layout = self._places, self.sim.fit.layout
-        slewed = self._side(model) is self.slewed
+        slewed = self.side_of(model) is self.slewed
         count, width, common = len(layout.names), sum(len(e.names) for e in chosen), len(places)
 
         def as_real(z: Array) -> tuple[Array, Array]:
@@ -181,14 +178,14 @@ class PairEvidence:
         sim[places] = 0.0
         sim[places[rows]] = posterior.amplitudes[: len(rows)]
         found, _ = applied(layout, sim, self.chosen(model), posterior.amplitudes[len(rows) :])
-        real = self._side(model).fit.theta.copy()
+        real = self.side_of(model).fit.theta.copy()
         real[places] = found[places]
         return real, sim
 
     def refined(self, model: Model) -> PairEvidence:
         """Both flights expanded about that model's best point, with the noise that is left there."""
         real, sim = self.parameters(model, self.posterior(model))
-        side = self._side(model)
+        side = self.side_of(model)
         there = about(side, real)
         here = about(self.sim, sim)
         if side is self.real:

@@ -18,6 +18,7 @@ from mavcal.calib.gap.schema import (
     Shrink,
 )
 from mavcal.calib.gap_report import airframe_effects
+from mavcal.calib.gap_report.intervals import after_number
 
 _ENDLESS = 1e300
 NATS = "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
@@ -247,13 +248,13 @@ def regime(found: LocatedGap) -> str:
         return "whole recording"
     low, high = (0.0 if abs(edge) < 1e-9 else edge for edge in found.regime.bin)
     if f"{low:.3g}" == f"{high:.3g}":
-        return f"{found.regime.kind} {low:.3g}{_unit(found.regime.unit)}"
-    return f"{found.regime.kind} {low:.3g}..{high:.3g}{_unit(found.regime.unit)}"
+        return f"{found.regime.kind} {low:.3g}{after_number(found.regime.unit)}"
+    return f"{found.regime.kind} {low:.3g}..{high:.3g}{after_number(found.regime.unit)}"
 
 
 def quantity(value: float | None, unit: str) -> str:
     """A number with its unit, where it has one."""
-    return f"{number(value)}{_unit(unit)}"
+    return f"{number(value)}{after_number(unit)}"
 
 
 def interval(low: float, high: float) -> str:
@@ -261,7 +262,3 @@ def interval(low: float, high: float) -> str:
     if not (abs(low) < _ENDLESS and abs(high) < _ENDLESS):
         return "not determined by itself"
     return f"{number(low)} to {number(high)}"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in {"", "1"} else f" {unit}"

@@ -126,6 +126,11 @@ class CatalogueEffect:
         return Trait.JUMPING in self.traits
 
     @property
+    def discontinuous(self) -> bool:
+        """Whether its shape has no derivative between two samples: the moment of a jump."""
+        return self.shape is not None and self.shape.discontinuous
+
+    @property
     def tonal(self) -> bool:
         """Whether it is a wave of one frequency, which is its shape."""
         return Trait.TONAL in self.traits

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mavcal.calib.gap.heldout.folds import contest_of, with_joined_term
 from mavcal.calib.gap.heldout.gates import Gate
@@ -23,6 +22,7 @@ from mavcal.calib.gap.model.joint import Model, NoiseTerm, Term, setting_of
 from mavcal.calib.gap.model.noise_fit import model_without_effects, noise_fitted
 from mavcal.calib.gap.model.views import views_of
 from mavcal.calib.gap.problem import GapProblem, Trace
+from mavcal.calib.gap.reference.posed import rotation
 from mavcal.calib.gap.search.lattice_effects import Lattice
 from mavcal.calib.gap.search.selection import ChosenModel
 from mavcal.calib.gap.search.terms import marginal_gains
@@ -72,8 +72,8 @@ def along_logged_attitude(problem: GapProblem) -> GapProblem | None:
 def _with_attitude(trace: Trace, t: Array, q: Array) -> Trace:
     if trace.against is not None or trace.attitude is None or trace.sensor not in _ATTITUDE_SENSORS:
         return trace
-    own = Rotation.from_quat(np.column_stack([np.interp(trace.t, t, c) for c in q.T])[:, [1, 2, 3, 0]])
-    turn = own.inv() * Rotation.from_quat(trace.attitude[:, [1, 2, 3, 0]])
+    own = rotation(np.column_stack([np.interp(trace.t, t, c) for c in q.T]))
+    turn = own.inv() * rotation(trace.attitude)
     ideal = turn.apply(trace.ideal)
     # rows without a sample keep a zero residual
     measured = np.where(trace.observed[:, None], trace.measured, trace.measured + ideal - trace.ideal)

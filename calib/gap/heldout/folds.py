@@ -105,7 +105,7 @@ def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool
     a sample between two jumps determine only their sum.
     """
     effect = term.hypothesis.effect
-    if not isinstance(term, Term) or effect.shape is None or not effect.shape.discontinuous:
+    if not isinstance(term, Term) or not effect.discontinuous:
         return True
     seen = np.concatenate([view.t for view in train.views if term.hypothesis.touches(view)] or [np.zeros(0)])
     for other in whole.terms:
@@ -280,11 +280,7 @@ def _precision(fitted: Model, fitted_gram: Array, tested_gram: Array) -> Array:
 def _jump_indices(terms: tuple[Term, ...]) -> set[int]:
     """Indices of jump moments among the values of all terms, which have no smooth derivative."""
     ends = np.cumsum([len(term.values) for term in terms])
-    return {
-        int(e) - 1
-        for e, t in zip(ends, terms, strict=True)
-        if t.effect.shape is not None and t.effect.shape.discontinuous
-    }
+    return {int(e) - 1 for e, t in zip(ends, terms, strict=True) if t.effect.discontinuous}
 
 
 def _log_det(matrix: Array) -> float:

@@ -69,12 +69,8 @@ def gate_of(
     if total <= 0.0 and least < 0.0:
         return Gate(key, gains, passed=None)
     passed = bool(total > max(least, 0.0))  # numpy's False `is` not False
-    return Gate(key, gains, passed=None if not passed and _is_event(term) else passed)
-
-
-def _is_event(term: Term) -> bool:
-    """Whether it is an event, whose levels are shared with other events and drifts."""
-    return term.effect.shape is not None and term.effect.shape.discontinuous
+    # the levels of an event are shared with other events and drifts
+    return Gate(key, gains, passed=None if not passed and term.effect.discontinuous else passed)
 
 
 def _numbers(term: Term, setting: Setting) -> int:

@@ -159,7 +159,7 @@ def held_out(
             chain.append(with_joined_term(chain[-1], term, hold=pace.ends()) if foreseen else chain[-1])
         nats = [predictive_loss(model, fold.test) for model in chain]
         losses.append((nats[0], nats[-1]))
-        lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _count(fold.test))
+        lowest.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * fold.test.setting.samples)
         steps.append([nats[0] - loss for loss in nats[1:]])
         if known is not None:
             continue
@@ -183,7 +183,7 @@ def held_out(
         folds,
         np.array(losses, dtype=np.float64),
         np.array(lowest, dtype=np.float64),
-        np.array([_count(fold.test) for fold in folds], dtype=np.float64),
+        np.array([fold.test.setting.samples for fold in folds], dtype=np.float64),
         tuple(any(_is_event_of(term, fold.test) for term in order) for fold in folds),
         tuple(term.hypothesis.effect.id for term in order),
         np.array(steps, dtype=np.float64),
@@ -238,7 +238,7 @@ def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model
     given = tuple(t for t in fitted.terms if t.hypothesis.key not in tested)
     known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
     fitted_numbers = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
-    share = _count(fold.test) / max(_count(fold.train) + _count(fold.test), 1)
+    share = fold.test.setting.samples / max(fold.train.setting.samples + fold.test.setting.samples, 1)
     return log_loss(applied_to(known, fold.test)) + 0.5 * fitted_numbers * share
 
 
@@ -271,10 +271,6 @@ def _in_order_of_entry(
     terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
     given = [term for term in terms if term.hypothesis.key in tolerated]
     return given, [term for term in terms if term.hypothesis.key not in tolerated]
-
-
-def _count(model: Model) -> int:
-    return model.setting.samples
 
 
 def _unexplained_per_number(model: Model) -> float:

@@ -57,10 +57,8 @@ def refined(model: Model, members: tuple[int, ...] | None = None, *, hold: bool 
     if not members and model.ridge is None:
         return model, joint
     own = [model.terms[i].effect for i in members]
-    linear = all((e.shape is None or e.shape.discontinuous) and e.exact is None for e in own)
-    shaped = frozenset(
-        i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.shape.discontinuous
-    )
+    linear = all((e.shape is None or e.discontinuous) and e.exact is None for e in own)
+    shaped = frozenset(i for i, e in zip(members, own, strict=True) if e.shape is not None and not e.discontinuous)
     stuck = shaped if hold else frozenset()
     for _ in range(1 if linear or hold else _STEPS):
         terms = [model.terms[i] for i in members]

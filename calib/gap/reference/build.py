@@ -117,7 +117,57 @@ class PreparedProblem:
         companion: Recording | None = None,
     ) -> GapProblem:
         """The problem with the noise of the companions beside `nuisance`; parameters as in :func:`build`."""
-        return _with_learned_noise(self, nuisance, companion)
+        chosen, channels = self.chosen, self.channels
+        useless = chosen is not None and chosen.ideal.info.useless
+        of_readings = {} if chosen is None or useless else chosen.ideal.noise
+        sim, single, pairs, judged = self.sim, self.single, self.pairs, list(self.judged)
+        if companion is not None and judged:
+            known = (c is companion for c in self.companions)
+            judged = [
+                (n, replace(f, traces=nuisance(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)
+            ]
+        ages = ages_of([t for _, found in judged for t in found.traces])
+        clean = [(n, tuple(_without_old_samples(t, ages) for t in found.traces)) for n, found in judged]
+        info = _reference_info(chosen)
+        steps = steps_of(c for n, _ in clean for c in sensors_of(n))
+        total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
+        total |= {s: with_reference_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
+        offsets = mean_deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
+        sound = checked(single + pairs)
+        rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
+        total = _at_same_rate(total, of_readings, sound.traces)
+        rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
+        rounded = [with_unit_noise(t, info) for t in rounded]
+        companion_traces = [trace for _, its in clean for trace in its]
+        noisy = [with_noise(_without_old_samples(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
+        driven = motor_noise_of(companion_traces)
+        posed, single_nominal = info.kind is ReferenceKind.POSE, [t for t in companion_traces if t.against is None]
+        moved = movement_of(single_nominal) if posed else {}
+        noisy = [with_motor_noise(_with_more_noise(t, ages, companion_traces), driven) for t in noisy]
+        aged = {} if posed else age_noise_of(companion_traces)
+        noisy = [with_aged_noise(with_movement_noise(t, moved), aged) for t in noisy]
+        traces = tuple(with_simulated_offset(with_heave_noise(t, info), offsets) for t in noisy)
+        warnings = (
+            *not_undone(channels, self.real),
+            *offset_changed(channels, self.real),
+            *(() if chosen is None else chosen.ideal.warnings),
+            *(reason for _, reason, _ in (*self.refused, *sound.refused)),
+            *dict.fromkeys(
+                f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused
+            ),
+        )
+        duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
+        refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *self.refused, *sound.refused)
+        alone = info.kind is ReferenceKind.ESTIMATOR and not self.companions
+        return GapProblem(
+            *(traces, info, duration),
+            warnings=warnings,
+            not_testable=refused,
+            nominal=tuple(single_nominal),
+            worse=self.worse,
+            alone=alone,
+            own_attitude=_logged_attitude(self.real) if alone else None,
+        )
 
 
 def prepared(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> PreparedProblem:
@@ -155,60 +205,6 @@ def _without_fragmented(real: Recording) -> tuple[Recording, tuple[Refusal, ...]
     if not found:
         return real, ()
     return real.with_channels(c for c in real.channels if c.key not in found), tuple(found.values())
-
-
-def _with_learned_noise(
-    made: PreparedProblem, nuisance: Callable[[Sequence[Trace]], tuple[Trace, ...]], companion: Recording | None
-) -> GapProblem:
-    chosen, channels, real = made.chosen, made.channels, made.real
-    useless = chosen is not None and chosen.ideal.info.useless
-    of_readings = {} if chosen is None or useless else chosen.ideal.noise
-    sim, single, pairs, judged = made.sim, made.single, made.pairs, list(made.judged)
-    if companion is not None and judged:
-        known = (c is companion for c in made.companions)
-        judged = [
-            (n, replace(f, traces=nuisance(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)
-        ]
-    ages = ages_of([t for _, found in judged for t in found.traces])
-    clean = [(n, tuple(_without_old_samples(t, ages) for t in found.traces)) for n, found in judged]
-    info = _reference_info(chosen)
-    steps = steps_of(c for n, _ in clean for c in sensors_of(n))
-    total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
-    total |= {s: with_reference_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
-    offsets = mean_deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
-    sound = checked(single + pairs)
-    rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
-    total = _at_same_rate(total, of_readings, sound.traces)
-    rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
-    rounded = [with_unit_noise(t, info) for t in rounded]
-    companion_traces = [trace for _, its in clean for trace in its]
-    noisy = [with_noise(_without_old_samples(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
-    driven = motor_noise_of(companion_traces)
-    moved = movement_of([t for t in companion_traces if t.against is None]) if info.kind is ReferenceKind.POSE else {}
-    noisy = [with_motor_noise(_with_more_noise(t, ages, companion_traces), driven) for t in noisy]
-    aged = {} if info.kind is ReferenceKind.POSE else age_noise_of(companion_traces)
-    noisy = [with_aged_noise(with_movement_noise(t, moved), aged) for t in noisy]
-    traces = tuple(with_simulated_offset(with_heave_noise(t, info), offsets) for t in noisy)
-    warnings = (
-        *not_undone(list(channels), real),
-        *offset_changed(list(channels), real),
-        *(() if chosen is None else chosen.ideal.warnings),
-        *(reason for _, reason, _ in (*made.refused, *sound.refused)),
-        *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
-    )
-    duration = max((float(t.t[-1] - t.t[0]) for t in single + pairs), default=_span(channels))
-    single_nominal = tuple(t for t in companion_traces if t.against is None)
-    refused = (*(refusals(info, (c.sensor for c in channels)) if useless else ()), *made.refused, *sound.refused)
-    alone = info.kind is ReferenceKind.ESTIMATOR and not made.companions
-    return GapProblem(
-        *(traces, info, duration),
-        warnings=warnings,
-        not_testable=refused,
-        nominal=single_nominal,
-        worse=made.worse,
-        alone=alone,
-        own_attitude=_logged_attitude(real) if alone else None,
-    )
 
 
 def _logged_attitude(real: Recording) -> tuple[Array, Array] | None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.airframe.flown import EstimatorError, state_of
+from mavcal.calib.gap.reference.channels import rate_of
 from mavcal.calib.gap.reference.ideal import continuous
 from mavcal.calib.gap.reference.posed import rotation
 from mavcal.calib.gap.reference.re_estimated import plain_trajectory
@@ -63,19 +64,15 @@ def _fastest_unit(recording: Recording) -> tuple[Channel, Channel] | None:
     for unit in sorted({c.instance for c in streams if c.sensor is Sensor.ACCEL}):
         own = [[c for c in streams if c.sensor is s and c.instance == unit] for s in (Sensor.ACCEL, Sensor.GYRO)]
         if all(own):
-            accel, gyro = (max(o, key=_rate) for o in own)
-            found.append((min(_rate(accel), _rate(gyro)), accel, gyro))
+            accel, gyro = (max(o, key=rate_of) for o in own)
+            found.append((min(rate_of(accel), rate_of(gyro)), accel, gyro))
     best = max(found, key=lambda f: f[0], default=None)
     return None if best is None or best[0] < _SLOWER_HZ else (best[1], best[2])
-
-
-def _rate(channel: Channel) -> float:
-    return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
 def _slow_difference(gps: Channel, t: Array, velocity: Array, late: float) -> float:
     """Robust rms of GPS less `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, of the worse horizontal axis."""
     seen = (gps.t - late > t[0]) & (gps.t - late < t[-1])
     apart = gps.values[seen, :2] - interpolated(t, velocity[:, :2], gps.t[seen] - late)
-    slow = uniform_filter1d(apart, max(1, round(_SLOW_S * _rate(gps))), axis=0)
+    slow = uniform_filter1d(apart, max(1, round(_SLOW_S * rate_of(gps))), axis=0)
     return float(1.4826 * np.median(np.abs(slow), axis=0).max())

@@ -61,7 +61,7 @@ def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 
     if effect.jumps:
         apart = level_mismatch(chosen.model, term)
         se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
-        if effect.shape is not None and effect.shape.discontinuous:
+        if effect.discontinuous:
             values[-1], between = jump_moment(chosen.model, term)
             se[-1] = math.hypot(se[-1], between)
     return tuple(
