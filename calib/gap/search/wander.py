@@ -6,8 +6,9 @@ cosines cost the distance from the prior, not an amplitude each.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,20 +71,14 @@ def fit_wander(chosen: ChosenModel, contest: Contest, start: Model, alpha: float
         return None
     process, worth = _process_in_place_of_effects(chosen)
     gain, size, time = process.gain, process.size_deg, process.time_s
-    price = (
-        2.0 * math.log(len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S))
-        + price_of_kind(by_id()[REFERENCE])
-        + prices.EFFECT_COUNT_PRICE
-    )
+    tried = len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)
+    price = 2.0 * math.log(tried) + price_of_kind(by_id()[REFERENCE]) + prices.EFFECT_COUNT_PRICE
     if worth < price - prices.WANDER_SLACK:
         return None
     least = max((contest.thresholds.lasting(v.sensor) for v in setting.views if sees_attitude(v)), default=0.0)
     if gain < max(prices.SECOND_ORDER_SHARE * largest_gain(chosen, contest), least):
         return None
-    if (
-        tail_probability(gain, 2, len(prices.WANDER_SIZES_DEG) * len(prices.WANDER_TIMES_S)) * (chosen.tests + 1)
-        > alpha
-    ):
+    if tail_probability(gain, 2, tried) * (chosen.tests + 1) > alpha:
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
@@ -167,7 +162,7 @@ class _Process:
         weight = tuple(1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes))
         normal = normal_equations([columns], [np.zeros_like(w) for w in weight], weight)
         priors = []
-        for size, time in _priors():
+        for size, time in itertools.product(map(float, prices.WANDER_SIZES_DEG), prices.WANDER_TIMES_S):
             root = np.sqrt(_prior(setting, size, time))
             priors.append((size, time, root, inverse_root(np.eye(columns.p) + root[:, None] * normal.gram * root)))
         return cls(frames, columns, weight, tuple(priors))
@@ -219,12 +214,6 @@ def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, tim
             own = changed[3 * v + c]
             changed[3 * v + c] = replace(own, base=own.base + power * float(square.sum() - square[c]))
     return tuple(changed)
-
-
-def _priors() -> Iterator[tuple[float, float]]:
-    for size in prices.WANDER_SIZES_DEG:
-        for time in prices.WANDER_TIMES_S:
-            yield float(size), time
 
 
 def _prior(setting: Setting, size_deg: float, time_s: float) -> Array:
