@@ -1,4 +1,4 @@
-"""What the day did: turbulence that every accelerometer feels, and jumps of the estimator or of the GPS."""
+"""Disturbances of the day: turbulence that every accelerometer feels, and jumps of the estimator or of the GPS."""
 
 from __future__ import annotations
 

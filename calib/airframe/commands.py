@@ -1,4 +1,4 @@
-"""What each motor was told: thrust command c, 0..1 after the spin range, at the rate that the log allows.
+"""Thrust command c of each motor, 0..1 after the spin range, at the rate that the log allows.
 
 ArduPilot logs its outputs at 10 Hz only, but the inputs of its mixer at loop rate. The outputs are rebuilt from these
 (``AP_MotorsMatrix.cpp``, ``AP_Motors_Thrust_Linearization.cpp``; AIRFRAME 3.1) and checked against the logged ones.

@@ -1,4 +1,4 @@
-"""A flight on one grid: what the motors were told, what the vehicle did, in which stretches that can be judged."""
+"""A flight on one grid: commands of the motors, motion of the vehicle, and the rows that can be judged."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class FlownFlight:
 
     @property
     def gravity(self) -> float:
-        """m/s2."""
+        """Gravity, m/s2."""
         return STANDARD_GRAVITY
 
 
@@ -124,7 +124,7 @@ class EstimatorError:
     turn: Array
 
     def taken_off(self, flight: FlownFlight) -> FlownFlight:
-        """The flight without it."""
+        """The flight without that error."""
         off, turn = (np.column_stack([np.interp(flight.t, self.t, x) for x in e.T]) for e in (self.velocity, self.turn))
         right = Rotation.from_rotvec(-turn) * Rotation.from_quat(flight.q[:, [1, 2, 3, 0]])
         return replace(flight, velocity=flight.velocity - off, q=right.as_quat()[:, [3, 0, 1, 2]])

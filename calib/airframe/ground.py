@@ -60,7 +60,7 @@ class GroundEffect:
     probability: float
 
     def told(self) -> FoundEffect:
-        """As an effect of the report."""
+        """The ground effect as an effect of the report."""
         value = FoundValue("a", self.value, self.sd, "1", real=self.real, sim=self.sim)
         return FoundEffect(ID, Domain.AIRFRAME, (), (value,), max(self.nats, 0.0), 1, self.probability, 0.0)
 

@@ -1,4 +1,4 @@
-"""White noise of the gyroscope in what it says of turns, and the filter that it went through."""
+"""White noise of the gyroscope in the measured angular acceleration, and the filter that it went through."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ that owners set; half the logarithm of the bins, for one parameter that is fitte
 
 @dataclass(frozen=True, eq=False)
 class GyroNoise:
-    """Of one flight. `hz` (N,) are the frequencies of cosine bins, `turns` (N, 3) the measured angular acceleration,
+    """White noise of the gyroscope in one flight.
+
+    `hz` (N,) are the frequencies of cosine bins, `turns` (N, 3) the measured angular acceleration,
     rad/s2, zero where it is not used.
     """
 
@@ -70,7 +72,7 @@ class GyroNoise:
 
     @cached_property
     def _corner_hz(self) -> float:
-        """Of the gyroscope's filter: what the log states, or else what makes its noise white best; 0: no filter."""
+        """Cutoff of the gyroscope's filter: as logged, or else the one that makes the noise whitest; 0: no filter."""
         stated, edges = self.flight.cutoff_hz.get(Sensor.GYRO, 0.0), self._noise_edges
         if stated > 0.0 or not len(edges):
             return stated

@@ -62,7 +62,7 @@ class Side:
 
     @cached_property
     def says(self) -> Quadratic:
-        """Of the common parameters; this flight's own are integrated out."""
+        """What the flight says of the common parameters; its own are integrated out."""
         whole = Quadratic(self.fit.theta, self.fit.gradient, self.fit.curvature, 0.0)
         return whole.without(self.own, *self.likelihood.priors)
 
@@ -96,7 +96,7 @@ class PairEvidence:
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """Of the effects."""
+        """The blocks of the effects."""
         return tuple(Block(e.block, e.sd, e.odds, e.nameless, e.exclusive) for e in self.effects)
 
     @cached_property
@@ -140,7 +140,7 @@ class PairEvidence:
         return self.sim.says.with_discrepancy(self.sim.discrepancy)
 
     def posterior(self, model: Model) -> Posterior:
-        """Of the model with these effects."""
+        """The posterior of the model with these effects."""
         chosen = self.chosen(model)
         rows, mean, sd = self._common
         places, layout = self._places, self.sim.fit.layout

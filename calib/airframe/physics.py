@@ -97,13 +97,13 @@ class Layout:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Every parameter; those of nameless effects last."""
+        """Names of all parameters; those of nameless effects are last."""
         each = (f"{name}_{i + 1}" for name in ("weak", "pulse") for i in range(self.motors))
         return (*_PLAIN, *each, *self.free)
 
     @cached_property
     def place(self) -> Mapping[str, int]:
-        """Where each stands."""
+        """Index of each parameter by its name."""
         return {name: k for k, name in enumerate(self.names)}
 
     def start(self, hover: float, gravity: float) -> Array:
@@ -126,7 +126,7 @@ class _Step:
         self._results: dict[bytes, Any] = {}
 
     def __call__(self, theta: Array) -> Any:
-        """Its result at a point."""
+        """The step's result at a point."""
         told = theta[self._places].tobytes()
         found = self._results.pop(told) if told in self._results else self._compute(theta)
         if len(self._results) >= _REMEMBERED:
@@ -253,12 +253,12 @@ class Airframe:
 
     @property
     def voltage_span(self) -> float:
-        """By how much the voltage changes in flight, 5th to 95th percentile, in parts; 0 where it is not known."""
+        """Relative change of the voltage in flight, 5th to 95th percentile; 0 where it is not known."""
         return float(np.expm1(np.ptp(np.percentile(self._log_v, (5.0, 95.0)))))
 
     @property
     def voltage_off(self) -> float:
-        """By how much the voltage is off `full_voltage`, in parts; 0 where either is not known."""
+        """Relative difference of the voltage from `full_voltage`; 0 where either is not known."""
         return float(np.expm1(abs(np.median(self._log_v))))
 
     def predicted(self, theta: Array) -> tuple[Array, Array]:
@@ -293,7 +293,7 @@ class Airframe:
         return lambda name: float(theta[place[name]])
 
     def _followed(self, delay: float, tau: float, fall: float) -> Array:
-        """What the motors do (N, n): delayed, limited in rate, with a first-order lag.
+        """Commands as the motors follow them (N, n): delayed, limited in rate, with a first-order lag.
 
         A lag that is longer where a command falls is the plain one of a command that is led on by its own fall.
         """
@@ -326,7 +326,7 @@ class Airframe:
         return across * v[:, :1], across * v[:, 1:2], along
 
     def _inflow(self, theta: Array) -> Array:
-        """How fast the vehicle moves through the air along its thrust (N,), m/s; 0 where it falls."""
+        """Airspeed along the thrust (N,), m/s; 0 where the vehicle falls."""
         return np.clip(-self.air_velocity(theta)[:, 2], 0.0, None)
 
     def _drive(self, thrust: Array, k: float) -> Array:

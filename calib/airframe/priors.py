@@ -1,4 +1,4 @@
-"""What is believed of each parameter before a flight is seen, where it must end, and how it is varied."""
+"""Prior, limits, and derivative step of each parameter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit by slopes does not find: the moment at which a load changes, and a limit on the rate of a motor's command.
+"""Parameters without a useful derivative: when a load changes, and a limit on the rate of a motor's command.
 
 Both are searched for on a grid, and the flight is then fitted with what suits it best.
 """

@@ -55,14 +55,14 @@ class Grid:
         self._s = 2j * np.pi * rfftfreq(self._size, 1.0 / fs)
 
     def spectrum(self, values: Array) -> Response:
-        """Of (N, k); the series is led back to its first value, so that its end does not reach its beginning."""
+        """Spectrum of a series (N, k); it is led back to its first value, so that its end does not reach its start."""
         left = self._size - self._rows - self._lead
         back = 0.5 + 0.5 * np.cos(np.pi * (np.arange(left) + 0.5) / left)
         after = values[:1] + back[:, None] * (values[-1:] - values[:1])
         return np.asarray(rfft(np.vstack([np.repeat(values[:1], self._lead, axis=0), values, after]), axis=0))
 
     def series(self, spectrum: Response, response: Response | None = None) -> Array:
-        """Back to (N, k), through `response`."""
+        """The series (N, k) of a spectrum, through `response`."""
         whole = irfft(spectrum if response is None else spectrum * response[:, None], n=self._size, axis=0)
         return np.asarray(whole[self._lead : self._lead + self._rows])
 
@@ -78,6 +78,6 @@ class Grid:
         return np.asarray(1.0 / (s**2 + np.sqrt(2.0) * s + 1.0))
 
     def behind(self, delay: float, tau: float) -> Response:
-        """Late by `delay` s, and by a lag of the first order; a negative `tau` is ahead."""
+        """Response of a delay, s, and a lag of the first order; a negative `tau` is a lead."""
         lag = 1.0 / (1.0 + tau * self._s) if tau >= 0.0 else 1.0 - tau * self._s
         return np.asarray(np.exp(-delay * self._s) * lag)

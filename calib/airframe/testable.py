@@ -82,7 +82,7 @@ def _missing(real: FlightLikelihood, sim: FlightLikelihood, winds: tuple[Array, 
 
 
 def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
-    """What slow logs, and flights without turns, do not tell."""
+    """Effects that slow logs, or flights without turns, cannot show."""
     log = LOG_BITS if pair["real"].airframe.flight.ardupilot else PROFILE_BITS
     rates = {w: min(f.airframe.flight.command_hz, f.airframe.flight.inertial_hz) for w, f in pair.items()}
     slow = min(rates, key=lambda w: rates[w])
@@ -105,7 +105,7 @@ def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
 
 
 def _by_axis(which: str, one: FlightLikelihood) -> Iterator[Missing]:
-    """What a flight does not tell of an axis about which it hardly turns."""
+    """Effects that a flight cannot show about an axis about which it hardly turns."""
     flight = one.airframe.flight
     rates = np.percentile(np.abs(flight.rate[flight.usable]), 99.0, axis=0)
     for axis, name, rate in zip(AXES, ("roll", "pitch", "yaw"), rates, strict=True):
@@ -118,7 +118,7 @@ def _by_axis(which: str, one: FlightLikelihood) -> Iterator[Missing]:
 
 
 def _by_motion(which: str, one: FlightLikelihood, wind: Array) -> Iterator[Missing]:
-    """What a flight too slow, too level or too steady does not tell."""
+    """Effects that a flight too slow, too level or too steady cannot show."""
     flight = one.airframe.flight
     rows = flight.usable
     level = np.hypot(*flight.velocity[rows, :2].T)

@@ -1,4 +1,4 @@
-"""From the posterior to effects with ratios, intervals and rivals."""
+"""Effects for the report from the posterior: ratios, intervals and rivals."""
 
 from __future__ import annotations
 
@@ -270,7 +270,7 @@ def _thrust_left(evidence: PairEvidence, effect: AirframeEffect, value: float, s
 
 
 def needed_manoeuvres(found: Sequence[FoundEffect], untestable: Sequence[Missing]) -> tuple[str, ...]:
-    """What to fly so that rivals part, and so that what could not be tested can be."""
+    """Manoeuvres that tell rivals apart, or make untested effects testable."""
     wanted = [rival.fix for effect in found for rival in effect.rivals]
     if any(m.id in FIXES and m.id not in BESIDE_STANDARD for m in untestable):
         wanted.append(f"the standard flight: {STANDARD_FLIGHT}")

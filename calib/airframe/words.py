@@ -1,4 +1,4 @@
-"""What to fly so that effects part, by effect (AIRFRAME 5.6, 5.10)."""
+"""Manoeuvres that tell effects apart, by effect (AIRFRAME 5.6, 5.10)."""
 
 from __future__ import annotations
 

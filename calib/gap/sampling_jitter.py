@@ -1,8 +1,8 @@
-"""Is a tone of an inertial sensor a vibration, or the jitter of its sampling?
+"""Tones of an inertial sensor that are jitter of its sampling, and no vibration.
 
-A unit that is sampled at another rate than it is logged is late by a time that varies with the difference of both
-rates. It reads that time's multiple of the rate of change: lines that grow, shrink and turn over with the movement,
-in a simulator as on a vehicle. ArduPilot's simulated second unit does so at multiples of 40 Hz.
+A unit may be sampled at another rate than it is logged. It is then late by a time that varies with the difference of
+both rates. Its error is that time multiplied by the rate of change: lines that grow, shrink and turn over with the
+movement, in a simulator as on a vehicle. ArduPilot's simulated second unit does so at multiples of 40 Hz.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Is an effect of a sensor borne out by the other units and by rest, or does every unit feel it in flight only?
+"""Effects of a sensor that the other units or rest contradict: every unit shows them, and in flight only.
 
-What two inertial units see alike and rest does not is no sensor: it is the airframe or the air (AIRFRAME 5.6).
+What two inertial units see alike, and rest does not show, is the airframe or the air (AIRFRAME 5.6).
 """
 
 from __future__ import annotations

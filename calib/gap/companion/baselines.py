@@ -1,8 +1,9 @@
 """The problem of a recording, without what its simulated or nominal companion shows by itself.
 
-A simulator that flew another trajectory (GAP 3.5b c), and a nominal recording with a pose of its own, are each compared
-with an ideal sensor first. What they show there is an error of the reference or a property of the simulator (decision
-0007). It is added to the ideal reading of the real recording, so that the gap is what only the real one has.
+Two kinds of companion are first compared with an ideal sensor: a simulator that flew another trajectory (GAP 3.5b c),
+and a nominal recording with a pose of its own. What they show there is an error of the reference or a property of the
+simulator (decision 0007). It is added to the ideal reading of the real recording, so that the gap is what only the real
+one has.
 """
 
 from __future__ import annotations

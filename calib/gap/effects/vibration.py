@@ -1,9 +1,9 @@
 """Effects of rotating rotors: lines at multiples of their speed, aliases of lines, noise, and rectified vibration.
 
 A line follows one rotor as a wave and is subtracted, if rotor speeds are logged well enough to integrate the phase.
-Otherwise it is power on a frequency track. With recorded rotor speeds the track is a multiple of them, weighted by the
-fourth power of the speed, since the force of an imbalance grows with its square. Without them it is a fixed frequency
-while the motors run.
+Otherwise it is power on a frequency track. With recorded rotor speeds the track is a multiple of them. It is weighted
+by the fourth power of the speed, since the force of an imbalance grows with its square. Without them it is a fixed
+frequency while the motors run.
 """
 
 from __future__ import annotations

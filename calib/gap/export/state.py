@@ -1,4 +1,4 @@
-"""What the effects of a report make of one sensor: errors in the simulator's form, and what has no place in it.
+"""Errors of a simulated sensor that stand for the effects of a report, and the effects that have no place in them.
 
 The diagnosis says ``measured = A ideal + b + p(T)`` where `ideal` is what the present simulator reads, itself ``ideal =
 M x + b_0``. The calibration in force removes `h`. The sensor to simulate is therefore ``A M x + A (b_0 - h) + h + b``.

@@ -1,8 +1,8 @@
 """Consistency of effects in a flight without a companion: on each of its blocks, and along either attitude.
 
-Without a simulated or nominal flight or an external reference, nothing tells what two flights differ by anyway, and the
-trajectory was made from the sensors in question. Its errors look like effects that hold in a part of the flight, or
-along this trajectory only. The vehicle's estimator made another one.
+Such a flight has no simulated or nominal companion and no external reference. Nothing tells what two flights differ by
+anyway, and the trajectory was made from the sensors in question. Its errors look like effects that hold in a part of
+the flight, or along this trajectory only. The vehicle's estimator logged a second trajectory.
 """
 
 from __future__ import annotations

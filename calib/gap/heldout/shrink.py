@@ -1,9 +1,9 @@
 """Shrink of the gap on data that the effects have not seen, in nats a sample.
 
 Blocks are held out in turn; effects are selected and fitted on the others. The loss is the negative log predictive
-density, a proper score of mean and noise. The floor is the loss of a model with the exact effects: the loss of the fit
-to all data plus half a nat for each fitted number, since the fit follows its own noise (Akaike 1974), less any
-significant excess over the declared noise.
+density, a proper score of mean and noise. The floor is the loss of a model with the exact effects. It is the loss of
+the fit to all data plus half a nat for each fitted number, since the fit follows its own noise (Akaike 1974). Any
+significant excess over the declared noise is subtracted.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ denied by chance."""
 class Heldout:
     """Losses of B held-out blocks, and the gates of the effects.
 
-    `losses` (B, 2) are nats without and with the effects, `floor` (B,) those of a model with the exact effects,
-    `samples` (B,) the counts, and `steps` (B, K) the gains of the effects `order`, added in turn. `has_event` marks
+    `losses` (B, 2) are nats without and with the effects, `floor` (B,) those of a model with the exact effects.
+    `samples` (B,) are the counts, and `steps` (B, K) the gains of the effects `order`, added in turn. `has_event` marks
     blocks with an event, whose time the others cannot predict.
     """
 

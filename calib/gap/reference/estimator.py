@@ -1,4 +1,4 @@
-"""By how much the vehicle's own estimator was off: its velocity and attitude beside the smoothed trajectory.
+"""Errors of the vehicle's own estimator: its velocity and attitude beside the smoothed trajectory.
 
 An estimator on board knows only the past, and one that is tuned for a quieter sensor follows the noise. Its controller
 answers these errors, so that they look like drag and like another thrust curve. The smoother knows the whole flight.

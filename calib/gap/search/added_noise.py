@@ -1,7 +1,7 @@
 """Checks of added noise, lines and tones before they count as effects of a sensor.
 
-Noise must exceed what two flights differ by, be on the instances that show it, and be more than the unsteadiness of a
-line beside it. A tone must not be in a nominal recording as well.
+Noise must exceed what two flights differ by, and be on the instances that show it. Beside a line it must be more than
+that line's unsteadiness. A tone must not be in a nominal recording as well.
 """
 
 from __future__ import annotations

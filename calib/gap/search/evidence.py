@@ -1,9 +1,9 @@
 """Evidence of an effect: the marginal likelihood of its amplitudes under a prior of their own size.
 
-A penalty of ``log N`` for each amplitude would be the same for a direction that the movement excites and for one that
-it does not, and larger for a long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0,
-s^2)``, and s is the size that explains the data best (empirical Bayes; Clyde & George 2000). An amplitude that is
-observed well costs about the logarithm of its own evidence, an unobserved one nothing.
+A penalty of ``log N`` for each amplitude would not depend on whether the movement excites it, and would be larger for a
+long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is the size that
+explains the data best (empirical Bayes; Clyde & George 2000). An amplitude that is observed well costs about the
+logarithm of its own evidence, an unobserved one nothing.
 
 Amplitudes may differ in size, so two other priors are tried, each at the price of the choice. In one all amplitudes
 change the readings alike (Zellner 1986), as those of a polynomial do, whose terms cancel each other. In the other a

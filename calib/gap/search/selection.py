@@ -70,7 +70,7 @@ def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
 
 
 def select(start: Model, contest: Contest, alpha: float, earlier: ChosenModel | None = None) -> ChosenModel:
-    """The effects that the data show.
+    """The model with the effects that the data show, by forward-backward selection.
 
     Drift noise can replace any slow effects on the mean, even two at once. It is therefore excluded at first, then
     admitted beside the selected effects, and only then tested in their place.

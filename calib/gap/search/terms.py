@@ -30,7 +30,7 @@ def jointly_fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
 
 
 def locally_fitted(model: Model, hypothesis: Hypothesis, *, hold: bool = False) -> Model:
-    """The same for the sensors that `hypothesis` acts on and those coupled with them.
+    """Mean and noise fitted in turn, for the sensors that `hypothesis` acts on and those coupled with them.
 
     With `hold` shapes stay where they are, which takes a fraction of the time.
     """

@@ -2,8 +2,8 @@
 
 A constant tilt reads like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
 gyroscope. A gyroscope matrix estimated inside the trajectory reads like misalignment of the sensor, an accelerometer's
-scale like a scale. The noise of the
-samples does not contain these errors: a minute of data would state a bias to a thousandth of what the tilt leaves open.
+scale like a scale. The noise of the samples does not contain these errors: a minute of data would state a bias to a
+thousandth of what the tilt leaves open.
 """
 
 from __future__ import annotations
