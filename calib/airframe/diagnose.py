@@ -34,6 +34,7 @@ from mavcal.calib.airframe.told import (
     doubtful,
     effects_of,
     latent,
+    lost_without,
     needed_manoeuvres,
     probabilities,
     with_rivals,
@@ -346,9 +347,8 @@ def _unnamed(answer: Answer, found: Sequence[FoundEffect], *, gusty: bool) -> tu
 def _lost(answer: Answer, name: str) -> float:
     """Nats that the best model loses without a block."""
     without = [v.log_weight for v in answer.kept if name not in v.model]
-    found = answer.evidence.posterior(answer.best.model - {name})
-    least = answer.best.posterior.log_evidence - found.log_evidence
-    return max(least if not without else min(least, answer.best.log_weight - max(without)), 0.0)
+    least = lost_without(answer, [name])
+    return least if not without else max(min(least, answer.best.log_weight - max(without)), 0.0)
 
 
 def _facts(side: Side) -> dict[str, float]:

@@ -79,7 +79,7 @@ def effects_of(
         inside = [f for f in forms if f.block in answer.best.model]
         if (id_, motor) not in told or not inside:
             continue
-        nats = _nats(answer, [f.block for f in forms])
+        nats = lost_without(answer, [f.block for f in forms])
         values = tuple(v for f in inside for v in _values(answer, evidence, f, slew))
         rivals = _rivals(answer, by_block, forms, id_)
         motors = () if motor is None else (motor,)
@@ -91,7 +91,7 @@ def effects_of(
         if block in answer.best.model and chance >= least:
             mean, _ = answer.amplitudes(block)
             size = FoundValue("size", float(np.sqrt((mean**2).sum())), 0.0, "m/s2")
-            nats = _nats(answer, [block])
+            nats = lost_without(answer, [block])
             found.append(FoundEffect("gust", by_block[block].domain, (), (size,), nats, len(mean), chance, 0.0))
     total = math.fsum(f.nats for f in found) or 1.0
     return tuple(sorted((replace(f, share=f.nats / total) for f in found), key=lambda f: -f.nats))
@@ -177,8 +177,8 @@ def latent(
     return tuple(found.values())
 
 
-def _nats(answer: Answer, blocks: Sequence[str]) -> float:
-    """What the data lose in the best model without these blocks, with every other model as it is."""
+def lost_without(answer: Answer, blocks: Sequence[str]) -> float:
+    """Nats that the best model loses without these blocks, its other blocks as they are."""
     without = answer.best.model - frozenset(blocks)
     return max(answer.best.posterior.log_evidence - answer.evidence.posterior(without).log_evidence, 0.0)
 

@@ -104,11 +104,7 @@ class Projection:
 
     def gain(self, columns: HypothesisColumns) -> Gain:
         """Gain of a group of columns with free amplitudes."""
-        gram, right, energy = self.projected(columns)
-        basis = independent_directions(gram, energy)
-        found = basis.T @ right
-        worth = evidence(gram, right, columns.units)
-        return Gain(float(found @ found), basis.shape[1], basis @ found, worth)
+        return gain_of(*self.projected(columns), columns.units)
 
     def free_gains(self, groups: Sequence[HypothesisColumns]) -> list[float]:
         """Gains of several groups without amplitudes and evidence, as a search for a shape needs them."""
@@ -135,6 +131,13 @@ def _model_columns(
         waves = ridge.columns.parts[axis]
         found.append(Part(waves.index + slices[-1].start, waves.X))
     return found
+
+
+def gain_of(gram: Array, right: Array, energy: Array, units: NDArray[np.intp]) -> Gain:
+    """Gain of columns with free amplitudes of `units` (p,), from what :meth:`Projection.projected` gives."""
+    basis = independent_directions(gram, energy)
+    found = basis.T @ right
+    return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, units))
 
 
 def _free_gain(gram: Array, right: Array, energy: Array) -> float:

@@ -19,8 +19,8 @@ from mavcal.calib.gap.model.joint import Model
 from mavcal.calib.gap.model.noise_fit import noise_fitted
 from mavcal.calib.gap.search import prices
 from mavcal.calib.gap.search.contest import Contest, ContestScore, free_score
-from mavcal.calib.gap.search.evidence import evidence, price_of_kind
-from mavcal.calib.gap.search.projection import Gain, Projection, independent_directions
+from mavcal.calib.gap.search.evidence import price_of_kind
+from mavcal.calib.gap.search.projection import Projection, gain_of
 from mavcal.calib.gap.search.selection import ChosenModel, extended, largest_gain, objective, select, total_price
 from mavcal.calib.gap.search.terms import locally_fitted, without_effect
 from mavcal.calib.gap.unknown.shapes import ShapeHypothesis, is_broken_line, shapes_of
@@ -161,7 +161,5 @@ def _shape_scores(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: P
 
 
 def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> ContestScore:
-    basis = independent_directions(gram, energy)
-    gain = basis.T @ right
-    worth = evidence(gram, right, np.zeros(len(right), np.intp))
-    return free_score(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)
+    gain = gain_of(gram, right, energy, np.zeros(len(right), np.intp))
+    return free_score(hypothesis, math.nan, gain, 1)
