@@ -60,9 +60,9 @@ _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 class Reference:
     """A part of force and torque, and to what part of it the model is right.
 
-    A change of the parameters is one standard deviation of the model's own error where it moves `columns` by `right_to`
-    of the size of `whole`, or by `answered` of what the model leaves open there below `below_hz`: the controller's
-    answer to it may hide in the parameters. `rows` are those of the :class:`_View` s that are meant.
+    One standard deviation of the model's own error moves `columns` by `right_to` of the size of `whole`. It also moves
+    them by `answered` of what the model leaves open there below `below_hz`: the controller's answer to that may hide in
+    the parameters. `rows` are those of the :class:`_View` s that are meant.
     """
 
     columns: tuple[int, ...]

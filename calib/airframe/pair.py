@@ -2,8 +2,8 @@
 
 Both are held against one model. Its parameters are common (what both flights show is an error of the model, and no
 gap); offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
-real flight. The model is right to so many per cent only (:data:`calib.airframe.fit.RIGHT_TO`), which no length of
-flight can improve.
+real flight. The model itself is right to some per cent only (:class:`calib.airframe.fit.Reference`), however long the
+flight.
 """
 
 from __future__ import annotations

@@ -177,8 +177,7 @@ def _cosines_at(view: View, span: tuple[float, float], modes: int) -> Array:
 @remembered(6)
 def _ideal_reading(view: View) -> Array:
     """The ideal reading of a series, (3, n), which an attitude error rotates."""
-    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
-    return np.ascontiguousarray(ideal.T)
+    return np.ascontiguousarray(view.ideal.T)
 
 
 def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:

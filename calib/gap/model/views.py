@@ -124,6 +124,11 @@ class View:
         """Times of the kept rows, s."""
         return np.asarray(self.any_trace.t[self.keep])
 
+    @property
+    def ideal(self) -> Array:
+        """Ideal reading (n, 3): the weighted sum over its instances."""
+        return np.asarray(np.add.reduce([w * self.traces[i].ideal[self.keep] for i, w in self.weights.items()]))
+
 
 @remembered(60)
 def _spectra(series: Array, first: int) -> Array:

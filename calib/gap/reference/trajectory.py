@@ -33,7 +33,8 @@ SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29
 its scales x y z less one.
 """
 GYRO_DRIFT, ACCEL_DRIFT = slice(32, 38), slice(38, 44)
-"""How biases follow the unit's temperature: with :data:`WARM` kelvin, and with its square, x y z of each."""
+"""How biases follow the unit's temperature: with the warmth (in units of `strapdown.WARMTH_UNIT`) and with its square,
+x y z of each."""
 CONSTANTS = 44
 ITERATIONS = 8
 """Iterations at most. Chosen, not measured: it bounds the time; steps become small sooner."""
@@ -68,8 +69,8 @@ _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples. Chosen, not measured: a radian and 10
 m/s leave all of it open."""
 _DRIFT = np.repeat([0.01, 0.003, 0.1, 0.03], 3)
-"""Standard deviation of drifts with :data:`WARM` kelvin and with its square, rad/s and m/s2, a priori. Chosen, not
-measured: some times what units that are not calibrated have."""
+"""Standard deviation of drifts with the warmth and with its square, rad/s and m/s2, a priori. Chosen, not measured:
+some times what units that are not calibrated have."""
 CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(15, 0.03), _DRIFT])
 """Standard deviations of what does not change, a priori; the Earth's field has that of its source. Source: decision 8
 for matrices and turns. The others are chosen, not measured: larger than calibrated vehicles have."""

@@ -208,7 +208,7 @@ def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, tim
         omega = view.omega * view.whole.fs
         density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
         power = np.where(omega > np.pi * _MODES / (last - first), density * view.fs, 0.0)
-        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        ideal = view.ideal
         square = (ideal**2).mean(axis=0)
         for c in range(3):
             own = changed[3 * v + c]

@@ -136,7 +136,7 @@ def _equal_effects(term: Term, view: View) -> Iterator[tuple[CatalogueEffect, fl
     """Linear rivals equal to the effect within the reference's error, and the part of its energy that they imitate."""
     every = max(1, view.n // _SAMPLES)
     made = predicted(term, view)[::every]
-    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])[::every]
+    ideal = view.ideal[::every]
     across = np.sqrt(np.maximum((ideal**2).sum(axis=1, keepdims=True) - ideal**2, 0.0))
     tilted = view.att_sd * np.maximum(across, _LEAST * float(across.max()))
     scales = np.array(view.inside_sd) if view.sensor is Sensor.ACCEL and view.inside_sd else np.zeros(3)

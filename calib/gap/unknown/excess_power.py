@@ -27,7 +27,7 @@ _LEFTOVER = 1e-7
 """Chance, over all that is looked at, below which noise alone has no such power. Source: GAP 3.3."""
 _MINUTES_DIFFER = 2.0
 """Times a learned spectrum, up to which power may be that of other minutes. Chosen, not measured: noise doubles from
-minute to minute (`baselines._LOUD`)."""
+minute to minute (`baselines._NOISE_DIFFERENCE`)."""
 _JOLT_S, _JOLTS = 0.5, 0.03
 """Length of a jolt, s, and part of a recording that is jolts. Chosen, not measured: a filter of 20 Hz has settled by
 then; two or three touchdowns of a flight of a minute."""

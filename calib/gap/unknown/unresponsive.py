@@ -28,7 +28,7 @@ def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
         terms = [t for t in model.terms if t.hypothesis.touches(view) and Trait.SIZE in t.effect.traits]
         if not terms or view.first or not view.reference_error or min(view.weights.values()) <= 0.0:
             continue
-        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        ideal = view.ideal
         moved = ideal - ideal.mean(axis=0)
         square = (moved**2).sum(axis=0)
         response = square + np.add.reduce([(moved * predicted(term, view)).sum(axis=0) for term in terms])

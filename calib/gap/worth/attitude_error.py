@@ -162,7 +162,7 @@ def _rotation_errors(view: View, first: float, last: float) -> Array:
 
 def _matrix_errors(view: View) -> Array:
     """Columns (9, n, 3) of the elements of a gyroscope's matrix by rows."""
-    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    ideal = view.ideal
     block = np.zeros((9, view.n, 3))
     for k, sd in enumerate(view.inside_sd):
         row, column = divmod(k, 3)
@@ -172,7 +172,7 @@ def _matrix_errors(view: View) -> Array:
 
 def _scale_errors(view: View) -> Array:
     """Columns (3, n, 3) of an accelerometer's scales; its bias takes what they do to a steady force."""
-    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    ideal = view.ideal
     moving = (ideal - ideal.mean(axis=0)) * np.array(view.inside_sd)
     return np.asarray(np.eye(3)[:, None, :] * moving[None])
 
