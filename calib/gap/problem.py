@@ -19,6 +19,8 @@ from mavcal.calib.gap.schema import RE_ESTIMATED, EffectEstimate, is_useless
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
+UNIT = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
+"""Unit of the readings of each sensor."""
 
 
 class ReferenceKind(StrEnum):
@@ -170,7 +172,7 @@ class Trace:
     @property
     def unit(self) -> str:
         """Unit of the readings."""
-        return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}[self.sensor]
+        return UNIT[self.sensor]
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,13 @@ from mavcal.calib.gap.effects.parts import (
     INERTIAL,
     TRIADS,
     TUMBLE,
-    UNIT,
     axiswise,
     crossed,
     missing_movement,
     per_axis,
 )
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

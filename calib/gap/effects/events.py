@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect
-from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.effects.parts import TRIADS, axiswise, per_axis
 from mavcal.calib.gap.effects.traits import Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
-from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
+from mavcal.calib.gap.effects.parts import AXES, TRIADS
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.gap.reference.resolution import EQUAL, levels_of, noise_of
 from mavcal.calib.recording import Sensor
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
-from mavcal.calib.gap.effects.parts import TRIADS, UNIT
+from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
-from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
+from mavcal.calib.gap.effects.parts import TRIADS, per_axis
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.recording import Sensor
 

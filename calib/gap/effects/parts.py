@@ -15,7 +15,6 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 AXES = "xyz"
-UNIT = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
 INERTIAL = (Sensor.ACCEL, Sensor.GYRO)
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 

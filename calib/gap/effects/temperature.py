@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
-from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, missing_movement, per_axis
+from mavcal.calib.gap.effects.parts import TRIADS, axiswise, first_missing, lagged, missing_movement, per_axis
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 

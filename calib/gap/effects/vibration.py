@@ -24,10 +24,10 @@ from mavcal.calib.gap.effects.base import (
     NoiseEffect,
 )
 from mavcal.calib.gap.effects.noise import white_density
-from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, axiswise, per_axis
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import UNIT, Trace
 from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.gap.reference.noise import LINE_HZ, LOWEST_ROTOR_HZ
 from mavcal.calib.gap.remembered import remembered

@@ -30,6 +30,7 @@ from mavcal.calib.gap.export.state import (
     term_of,
     value,
 )
+from mavcal.calib.gap.problem import UNIT
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -45,7 +46,6 @@ _CALIBRATIONS = frozenset(
 )
 """Effects that a firmware's parameters can take away."""
 
-_UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
 _STEP = 1e-3
 """Step of a derivative in standard errors. Source: central differences err by its square, 1e-6."""
 
@@ -137,7 +137,7 @@ def _fit(
     covariance = _covariance(effects, model)
     n = _samples(report, sensor, number)
     at = None if found.polynomial is None else t_ref
-    return FitBuilder("gap", sensor, instance, _UNITS[sensor], n, temperature=at).fitted(
+    return FitBuilder("gap", sensor, instance, UNIT[sensor], n, temperature=at).fitted(
         found,
         covariance,
         message=f"the calibration in force with {', '.join(e.id for e in effects)} taken away",

@@ -128,6 +128,10 @@ class Model:
         """All terms."""
         return (*self.terms, *self.noise_terms)
 
+    def wanders_in(self, v: int) -> bool:
+        """Whether series `v` contains the reference's attitude error."""
+        return self.ridge is not None and any(3 * v + c in self.ridge.columns.parts for c in range(3))
+
     def periodogram(self, axis: int) -> Array:
         """Sums of squares of the residual's transform in merged bins."""
         v, c = divmod(axis, 3)
@@ -200,7 +204,7 @@ def with_residual(model: Model) -> Model:
     y: list[Array] = []
     for v, view in enumerate(setting.views):
         own = tuple(term for term in model.terms if term.hypothesis.touches(view))
-        seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
+        seen = model.wanders_in(v)
         left, bins = _residual_of(view, setting.frames[v], own, model.ridge if seen else None)
         residual.append(left)
         y += bins

@@ -34,7 +34,7 @@ class Signal:
     @classmethod
     def of(cls, channel: Channel) -> Signal | None:
         """The finite samples of `channel`; None if there are fewer than four."""
-        good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
+        good = _finite(channel)
         t, values = channel.t[good], channel.values[good]
         fresh = np.concatenate([[True], np.diff(t) > 0.0]) if len(t) else np.zeros(0, dtype=bool)
         return cls(t[fresh], values[fresh]) if fresh.sum() >= 4 else None
@@ -71,6 +71,11 @@ class Signal:
         return np.asarray((differences[after - 1] > HOLE * np.median(differences)) & ~at_sample)
 
 
+def _finite(channel: Channel) -> NDArray[np.bool_]:
+    """Samples of a channel whose time and values are finite."""
+    return np.asarray(np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t))
+
+
 def interpolated(t: Array, values: Array, wanted: Array) -> Array:
     """Columns of `values` (N, k) at `wanted`, linear between the samples `t` and held at the ends."""
     return np.column_stack([np.interp(wanted, t, column) for column in values.T])
@@ -82,7 +87,7 @@ def slow_values(channels: Iterable[Channel], wanted: Array) -> Array | None:
     For slow quantities: temperature, current, throttle.
     """
     for channel in channels:
-        good = np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t)
+        good = _finite(channel)
         if good.sum() >= 2:
             return interpolated(channel.t[good], channel.values[good], wanted)
     return None
@@ -131,7 +136,7 @@ def grid_of(channel: Channel) -> Grid:
     InvalidInputError
         If there are fewer than four samples at different times.
     """
-    good = np.flatnonzero(np.isfinite(channel.values).all(axis=1) & np.isfinite(channel.t))
+    good = np.flatnonzero(_finite(channel))
     t = channel.t[good]
     fresh = np.concatenate([[True], np.diff(t) > 0.0]) if len(t) else np.zeros(0, dtype=bool)
     repeated = int(len(t) - fresh.sum())

@@ -81,8 +81,7 @@ def log_odds(bets: Sequence[Unexplained]) -> float | None:
 def _bets(model: Model, v: int) -> Iterator[Unexplained]:
     view = model.setting.views[v]
     # The error of the reference is known only up to the last of its cosines.
-    turned = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
-    if turned or not _is_white(view):
+    if model.wanders_in(v) or not _is_white(view):
         return
     power = np.array([model.noise[3 * v + c].power for c in range(3)])
     white = np.stack([view.whitened(axis) for axis in view.spectra(model.residual[v]) / np.sqrt(power)])

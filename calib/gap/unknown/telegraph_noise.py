@@ -73,11 +73,6 @@ def telegraph_noise(
     return tuple(found)
 
 
-def _has_reference_error(model: Model, v: int) -> bool:
-    """Whether the model has the reference's attitude error in that series, which could be any levels."""
-    return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
-
-
 def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     """The term of a key if it acts on a sensor and is not broadband noise."""
     term = next((t for t in model.members if t.hypothesis.key == key), None)
@@ -104,7 +99,7 @@ def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], leas
         drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
         rest = np.array([_remaining_power(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
         own += _gain_of_model(model, v, series, rest)
-        if view.first or view.count < _FEWEST or _has_reference_error(model, v) or is_coarsely_quantised(view):
+        if view.first or view.count < _FEWEST or model.wanders_in(v) or is_coarsely_quantised(view):
             continue
         gain, constant, jumps = _level_gains(series, rest)
         own += _gain_of_constant(model, v)
