@@ -205,7 +205,7 @@ def smooth(
     `matrices` frees scales and misalignments, `drifts` thermal biases; neither with a known attitude, since they would
     absorb errors of the sensor.
     """
-    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    prior = _prior_sd(aiding, matrices=matrices, drifts=drifts)
     for _ in range(iterations):
         normal = _normal_equations(imu, aiding, state, prior)
         state, moved = _updated(state, normal)
@@ -218,7 +218,7 @@ def with_accuracy(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
     """`state` with the standard deviations of its attitude and constants; parameters as in :func:`smooth`."""
-    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    prior = _prior_sd(aiding, matrices=matrices, drifts=drifts)
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
     att_sd, constants_sd = _standard_deviations(_normal_equations(imu, aiding, cautious, prior))
     return replace(state, att_sd=att_sd, constants_sd=constants_sd)
@@ -231,18 +231,18 @@ def log_evidence(
 
     It compares bias walks, of which a freer one always fits at least as well.
     """
-    prior = _prior_sd(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
+    prior = _prior_sd(aiding, matrices=matrices, drifts=drifts)
     normal = _normal_equations(imu, aiding, state, prior)
     return -0.5 * (normal.cost + normal.log_determinant + 2.0 * float(np.log(prior[normal.free]).sum()))
 
 
 def _prior_sd(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
-    """Standard deviations of the constants a priori, (44,)."""
+    """Prior standard deviations of the constants, (44,); beside a known attitude matrices and drifts are not free."""
     sd = CONSTANT.copy()
     sd[EARTH] = aiding.earth_sd
-    if not matrices:
+    if not matrices or aiding.truth is not None:
         sd[SOFT_IRON.start : GYRO_DRIFT.start] = _NOTHING
-    if not drifts:
+    if not drifts or aiding.truth is not None:
         sd[GYRO_DRIFT.start :] = _NOTHING
     return sd
 
