@@ -154,6 +154,8 @@ def _parsed(file: Path, names: Iterable[str]) -> ULog:
             size = opened.seek(0, 2)
             opened.seek(0)
             return _Bounded(_Metered(opened, size), sorted(names))
+    except UnreadableError:
+        raise
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be read: {error.strerror or error}") from error
     except ULogIncompatibleFlagException as error:

@@ -228,7 +228,7 @@ def test_a_damaged_stamp_costs_only_itself(reading, stamp):
     ("content", "says"),
     [
         (b"ULogEnc\x01" + bytes(40), "encrypted ULog"),
-        (b"ULog\x01\x12\x35", "is no ULog: its header"),
+        (b"ULog\x01\x12\x35", r"^\S+ is no ULog: its header"),
         (UlogFile().bytes, "without a sensor"),
         (UlogFile().bytes[:30], "without a sensor"),
     ],
