@@ -23,7 +23,6 @@ from mavcal.service.computations import UploadComputations
 from mavcal.service.errors import LinkBusy, VehicleUnknown
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
-from mavcal.service.hand import SimulatedHands
 from mavcal.service.heap import trim_for_ever
 from mavcal.service.jobs.core.admission import WAY
 from mavcal.service.jobs.core.codec import CODE as UNREADABLE
@@ -44,6 +43,7 @@ from mavcal.service.retention import Retention, Rotation
 from mavcal.service.settings import Settings
 from mavcal.service.signing import SigningAdmin
 from mavcal.service.signing_keys import SigningKeys
+from mavcal.service.simulated_hands import SimulatedHands
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.unfinished import Unfinished, left_over

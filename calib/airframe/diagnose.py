@@ -16,6 +16,16 @@ from mavcal.calib.airframe.commands import commands_of
 from mavcal.calib.airframe.density import ID as DENSITY
 from mavcal.calib.airframe.density import Densities, Density, densities, density_of
 from mavcal.calib.airframe.effects import ODDS, AirframeEffect, catalogue, nameless, of_density
+from mavcal.calib.airframe.findings import (
+    EVEN_ODDS,
+    doubtful,
+    effects_of,
+    latent,
+    lost_without,
+    needed_manoeuvres,
+    probabilities,
+    with_rivals,
+)
 from mavcal.calib.airframe.fit import SAG_SPAN, FlightLikelihood, expanded
 from mavcal.calib.airframe.flown import EstimatorError, FlownFlight, Unflown, flown, needed_log
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, NoAirframe
@@ -29,16 +39,6 @@ from mavcal.calib.airframe.pair import PairEvidence, Side, by_itself, shown_by
 from mavcal.calib.airframe.physics import AXES, Airframe, Kind
 from mavcal.calib.airframe.searched import with_limit, with_load
 from mavcal.calib.airframe.testable import TORQUE_HZ, Missing, missing, unusable
-from mavcal.calib.airframe.told import (
-    EVEN_ODDS,
-    doubtful,
-    effects_of,
-    latent,
-    lost_without,
-    needed_manoeuvres,
-    probabilities,
-    with_rivals,
-)
 from mavcal.calib.inference.search import Answer, search
 from mavcal.calib.recording import Recording
 

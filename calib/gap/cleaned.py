@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcal.calib.airframe.diagnose import LIKELY
 from mavcal.calib.gap.effects.traits import SensorTerm
-from mavcal.calib.gap.export.state import sensors_with, term_of
+from mavcal.calib.gap.export.sensor_errors import sensors_with, term_of
 from mavcal.calib.gap.schema import FIRST, GapReport
 from mavcal.calib.recording import Channel, Recording, Sensor
 

@@ -30,7 +30,7 @@ from mavcal.calib.gap.companion.baselines import problem_of
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.export.airframe import airframe_effects
-from mavcal.calib.gap.export.state import sensor_effects
+from mavcal.calib.gap.export.sensor_errors import sensor_effects
 from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.best_reference import is_another_flight

@@ -16,7 +16,7 @@ from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.effects.vibration import RUNNING_THROTTLE
-from mavcal.calib.gap.export.state import matrix_of, vector
+from mavcal.calib.gap.export.sensor_errors import matrix_of, vector
 from mavcal.calib.gap.sampling_jitter import is_sampling_jitter
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor

@@ -31,7 +31,7 @@ from mavcal.service.preflights import Preflight
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
 from mavcal.service.unfinished import Unfinished, beginning, ending
-from mavcal.service.vehicle.encoding import Parameter
+from mavcal.service.vehicle.parameter_bits import Parameter
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
 

@@ -15,8 +15,8 @@ from mavcal.calib.wire.parameters import ParamType
 from mavcal.service.errors import CommandTimeout, DiskFull, ParameterMissing
 from mavcal.service.link.capacity import slowdown
 from mavcal.service.link.types import Batch
-from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.intervals import get_intervals
+from mavcal.service.vehicle.parameter_bits import Parameter
 from mavcal.service.vehicle.rate_ledger import RateLedger
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.streams import StreamReport, demand_streams, request_streams

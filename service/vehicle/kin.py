@@ -10,8 +10,8 @@ from enum import StrEnum
 from mavcal.service.errors import LinkDown, ParameterMissing, VehicleError
 from mavcal.service.vehicle.boot_time import BootClock
 from mavcal.service.vehicle.channels import LinkChannel
-from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.identity import Autopilot, VehicleIdentity
+from mavcal.service.vehicle.parameter_bits import Parameter
 from mavcal.service.vehicle.vehicle import Vehicle
 
 WAIT_S = 10.0

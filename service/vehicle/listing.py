@@ -12,8 +12,8 @@ from mavcal.calib.wire.codec import ParamValue, decode_param_value
 from mavcal.calib.wire.frames import Frame
 from mavcal.calib.wire.parameters import HASH_CHECK, NO_INDEX
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
-from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.exchange import Addressee
+from mavcal.service.vehicle.parameter_bits import Parameter
 from mavcal.service.vehicle.parameters import Parameters
 
 PIPELINE = 10

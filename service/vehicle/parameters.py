@@ -26,9 +26,9 @@ from mavcal.service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from mavcal.service.vehicle.encoding import Parameter, bits_from_value, same_value
 from mavcal.service.vehicle.exchange import Addressee, Expectation, Pace
 from mavcal.service.vehicle.identity import VehicleIdentity
+from mavcal.service.vehicle.parameter_bits import Parameter, bits_from_value, same_value
 
 ANSWER_S = 1.0
 READ_LEAST_S = 0.5

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavcal.calib.gap.export.airframe.patch import airframe_effects
 from mavcal.calib.gap.export.airframe.wanted import ratio_of
-from mavcal.calib.gap.export.state import SensorEffects, named, sensors_with
+from mavcal.calib.gap.export.sensor_errors import SensorEffects, named, sensors_with
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.document import errors_to_json

@@ -17,8 +17,8 @@ from mavcal.calib.gap.export.airframe import Patch, airframe_effects, airframe_p
 from mavcal.calib.gap.export.airframe.patch import is_sih
 from mavcal.calib.gap.export.documents import airframe_struct, to_document, to_matlab_text
 from mavcal.calib.gap.export.gazebo import airframe_sdf, to_sdf
+from mavcal.calib.gap.export.sensor_errors import doubt_text, named, sensor_effects
 from mavcal.calib.gap.export.sitl import SitlPatch, older_names, patch
-from mavcal.calib.gap.export.state import doubt_text, named, sensor_effects
 from mavcal.calib.gap.export.vehicle import vehicle_plan
 from mavcal.calib.gap.schema import GapReport, GapVerdict
 from mavcal.calib.recording import Recording

@@ -19,7 +19,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.effects.traits import SensorTerm
 from mavcal.calib.gap.export.airframe.patch import airframe_effects
 from mavcal.calib.gap.export.airframe.wanted import Wanted, missing, wanted_of
-from mavcal.calib.gap.export.state import named, sensors_with, term_of
+from mavcal.calib.gap.export.sensor_errors import named, sensors_with, term_of
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import FLU_FROM_FRD

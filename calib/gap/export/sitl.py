@@ -16,7 +16,7 @@ from mavcal.calib.fit import AXES
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.export.airframe import airframe_effects, own_patches
-from mavcal.calib.gap.export.state import (
+from mavcal.calib.gap.export.sensor_errors import (
     REFERENCE_TEMPERATURE,
     SensorEffects,
     doubt_text,

@@ -20,7 +20,7 @@ from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import Change, WritePlan, snapshot_sha256
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.gap.export.airframe.belief import WHILE_DISARMED, belief_changes
-from mavcal.calib.gap.export.state import (
+from mavcal.calib.gap.export.sensor_errors import (
     REFERENCE_TEMPERATURE,
     TEMPERATURE_TERMS,
     doubt_text,

@@ -39,7 +39,7 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link.types import LinkState, LinkStatistics
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
-from mavcal.service.vehicle.encoding import Parameter, ParamType
+from mavcal.service.vehicle.parameter_bits import Parameter, ParamType
 from tests.unit.api import samples
 
 

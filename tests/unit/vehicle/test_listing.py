@@ -8,8 +8,8 @@ from mavcal.calib.wire.codec import ParamValue, decode_param_value, encode
 from mavcal.calib.wire.frames import FrameParser
 from mavcal.calib.wire.parameters import HASH_CHECK, ParamType
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
-from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.listing import ParameterSet, _incomplete, _Listing
+from mavcal.service.vehicle.parameter_bits import Parameter
 from tests.unit.vehicle.fake import FakeVehicle, param_value, real
 
 

@@ -20,7 +20,7 @@ from mavcal.service.errors import (
     VehicleSilent,
 )
 from mavcal.service.vehicle import commands
-from mavcal.service.vehicle.encoding import same_value
+from mavcal.service.vehicle.parameter_bits import same_value
 from mavcal.service.vehicle.parameters import TRIES
 from mavcal.service.vehicle.streams import _Request
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, param_value, real

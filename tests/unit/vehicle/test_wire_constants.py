@@ -10,7 +10,7 @@ from mavcal.calib.wire.parameters import ParameterEncoding, ParamType
 from mavcal.service.errors import ParameterRejected
 from mavcal.service.jobs.write import guard
 from mavcal.service.jobs.write import steps as restart
-from mavcal.service.vehicle.encoding import bits_from_value
+from mavcal.service.vehicle.parameter_bits import bits_from_value
 
 DTYPES = {
     ParamType.UINT8: np.uint8,

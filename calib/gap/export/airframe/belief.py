@@ -10,7 +10,7 @@ import numpy as np
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.plan import Change, ParameterKind, Value
 from mavcal.calib.gap.export.airframe.patch import airframe_effects
-from mavcal.calib.gap.export.state import doubt_text, named
+from mavcal.calib.gap.export.sensor_errors import doubt_text, named
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
 
 SEA_LEVEL = 1.225

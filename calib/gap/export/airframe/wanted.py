@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from mavcal.calib.gap.export.state import named
+from mavcal.calib.gap.export.sensor_errors import named
 from mavcal.calib.gap.schema import EffectEstimate, ParameterEstimate
 
 Triple = tuple[float, float, float]

@@ -13,7 +13,7 @@ from mavcal.calib.firmware.export import ParameterFormat
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from mavcal.calib.firmware.rotations import rotation_matrix
 from mavcal.calib.gap.export import Target, exported
-from mavcal.calib.gap.export.state import REFERENCE_TEMPERATURE
+from mavcal.calib.gap.export.sensor_errors import REFERENCE_TEMPERATURE
 from mavcal.calib.gap.export.vehicle import _reference, corrected_model, vehicle_plan
 from mavcal.calib.gap.schema import EffectEstimate, Unknown
 from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
@@ -65,7 +65,7 @@ CASES = {
 
 def affected(sensor: Sensor, effects: tuple[EffectEstimate, ...], values: dict[str, float | int]) -> tuple[object, ...]:
     """Truth in body axes, and the raw reading of a sensor with the effects, as the diagnosis states them."""
-    from mavcal.calib.gap.export.state import sensors_with
+    from mavcal.calib.gap.export.sensor_errors import sensors_with
 
     truth = {Sensor.ACCEL: 9.0, Sensor.GYRO: 2.0, Sensor.MAG: 40.0}[sensor] * np.random.default_rng(3).normal(
         size=(50, 3)

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.service import hand as module
+from mavcal.service import simulated_hands as module
 from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
-from mavcal.service.hand import MOMENT_S, SimulatedHands
 from mavcal.service.jobs.core.states import JobState
 from mavcal.service.link.endpoint import Hand
+from mavcal.service.simulated_hands import MOMENT_S, SimulatedHands
 from mavcal.service.simvehicle import ControlError
 from tests.unit.api import samples
 

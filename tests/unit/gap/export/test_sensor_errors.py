@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.effects.replay import with_effects_in
 from mavcal.calib.gap.effects.traits import SensorTerm
-from mavcal.calib.gap.export.state import (
+from mavcal.calib.gap.export.sensor_errors import (
     doubt_text,
     matrix_of,
     named,

@@ -11,10 +11,10 @@ import pytest
 from mavcal.calib.airframe.answer import Domain
 from mavcal.calib.airframe.diagnose import airframe_gap
 from mavcal.calib.airframe.effects import catalogue
+from mavcal.calib.airframe.findings import _by_name, _likely, doubtful, latent, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundRival
 from mavcal.calib.airframe.physics import Kind, Layout
 from mavcal.calib.airframe.testable import Missing
-from mavcal.calib.airframe.told import _by_name, _likely, doubtful, latent, needed_manoeuvres, with_rivals
 from mavcal.calib.airframe.words import FIXES, STANDARD_FLIGHT
 from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
 from mavcal.calib.inference.search import Answer, Visited

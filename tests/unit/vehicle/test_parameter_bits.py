@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.wire.parameters import ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import ParameterRejected
-from mavcal.service.vehicle.encoding import bits_from_value, same_value
+from mavcal.service.vehicle.parameter_bits import bits_from_value, same_value
 
 CAST, BYTES = ParameterEncoding.CAST, ParameterEncoding.BYTEWISE
 REAL, INT32, INT8 = ParamType.REAL32, ParamType.INT32, ParamType.INT8
