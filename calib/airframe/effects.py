@@ -99,8 +99,8 @@ def catalogue(layout: Layout, kind: Kind, hover_gain: Sequence[float]) -> tuple[
     Parameters
     ----------
     layout, kind
-        Of the vehicle. Where drag does not grow with the rotors' speed, as in PX4's SIH, lift and yaw torque of a motor
-        are settings of their own; a propeller's go together.
+        Parameters and family of the vehicle. In PX4's SIH, whose drag does not grow with the rotors' speed, lift and
+        yaw torque are separate settings.
     hover_gain
         Angular acceleration at a full differential command (3,), rad/s2: the scale of trims.
     """

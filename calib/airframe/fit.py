@@ -259,7 +259,7 @@ class FlightLikelihood:
 
     @cached_property
     def noise(self) -> GyroNoise:
-        """Of the gyroscope, by what it measured."""
+        """White noise of the gyroscope, from its own readings."""
         usable = self.airframe.flight.usable
         return GyroNoise(self.airframe.flight, self._hz, np.where(usable[:, None], self._measured[:, 3:], 0.0))
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 TORQUE_BAND_HZ: Final = 20.0
 """Up to which torque is judged. Source: AIRFRAME 5.3; above lies vibration, and the firmware's filters."""
 _LEAST_BINS: Final = 8
-"""Of a band. Chosen, not measured: its mean is known to a half."""
+"""Fewest bins of a band. Chosen, not measured: the mean power of eight has an error of one half."""
 _NOISE_BANDS, _NOISE_HZ = 4, 30.0
 """The quietest of these bands, from `TORQUE_BAND_HZ` to `_NOISE_HZ`, is taken for the gyroscope's noise. Chosen, not
 measured: vibration of the rotors fills some bands, and the grid's own filter removes what lies above."""

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 _SMOOTH_S: Final = 0.5
 _EDGE_S: Final = 5.0
-"""A step so near to either end of a flight is told from nothing. Chosen, not measured: a hover of some seconds."""
+"""Seconds at both ends of a flight in which no step can be found. Chosen, not measured: a hover of some seconds."""
 _LEAST_STEP: Final = 0.01
 """Part of the mass below which a step is not looked at. Source: a third of the least that AIRFRAME 6 asks for."""
 _RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4)

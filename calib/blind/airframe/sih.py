@@ -1,7 +1,7 @@
 """PX4's simulation in hardware as a vehicle of this generator, and its settings as effects (AIRFRAME 4.2).
 
 Thrust is linear in a lagged output, drag linear in the velocity along all axes, damping one for all axes, and there is
-neither wind nor a battery that matters. Its sensors are loud. Read in PX4's ``sih.cpp``, v1.16.
+neither wind nor a battery that matters. Its sensors are loud. Read in PX4's ``sih.cpp`` of February 2025.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ CALM = Weather(0.0, 0.0, 0.0)
 SPREAD = 1.2
 """Owners set the simulator to their vehicle: each setting up to so many times its default. Chosen, not measured."""
 SOFT = 0.3
-"""Of the usual gains of yaw: its torque is weak and late, and the gyroscope is loud. Measured: outputs are at a limit
-in up to 17 % of a flight without it, and in less than 1 % with it."""
+"""Factor on the usual yaw gains, because the yaw torque is weak and late and the gyroscope is loud. Measured: it brings
+the time with an output at its limit from 17 % of a flight to less than 1 %."""
 NO_LAG_S = 1e-6
 TOP = 1000.0
 """rad/s, of rotors that SIH does not have: only thrust, torque and lag are felt."""

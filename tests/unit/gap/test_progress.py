@@ -216,7 +216,7 @@ def test_no_time_at_all_is_no_answer_and_not_the_absence_of_a_gap() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("limit", [400.0, 1200.0])
+@pytest.mark.parametrize("limit", [400.0, 800.0])
 def test_no_look_at_all_rivals_is_begun_that_the_limit_does_not_leave(
     monkeypatch: pytest.MonkeyPatch, limit: float
 ) -> None:
