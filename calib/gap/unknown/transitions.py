@@ -135,19 +135,25 @@ def span_off_level(view: View, residual: Array, start: float, end: float) -> tup
     elsewhere sets the limit, whatever the noise. Holes end the span.
     """
     width = max(1, round(_WINDOW_S * view.fs))
-    count = len(residual) // width
-    if view.first or count < 3 * _LEVEL:
+    if view.first or len(residual) < 3 * _LEVEL * width:
         return start, end
-    means = residual[: count * width].reshape(count, width, 3).mean(axis=1)
-    t = view.t[: count * width].reshape(count, width)
+    means = _window_means(residual, width)
     smooth = median_filter(means, size=(_LEVEL, 1), mode="nearest")
     scatter = 1.4826 * np.median(np.abs(means - smooth), axis=0) + np.finfo(float).tiny
-    before = np.flatnonzero(t[:, -1] < start)[::-1]
-    after = np.flatnonzero(t[:, 0] > end)
-    first, last = _count_off_level(means[before], scatter), _count_off_level(means[after], scatter)
-    early = float(t[before[first - 1], 0]) - _MARGIN_S if first else start
-    late = float(t[after[last - 1], -1]) + _MARGIN_S if last else end
+    # Windows begin at the event: one across it would hide the readings that are furthest off.
+    near = _ONE_MOMENT / view.fs
+    before, after = np.flatnonzero(view.t < start - near)[::-1], np.flatnonzero(view.t > end + near)
+    first = width * _count_off_level(_window_means(residual[before], width), scatter)
+    last = width * _count_off_level(_window_means(residual[after], width), scatter)
+    early = float(view.t[before[first - 1]]) - _MARGIN_S if first else start
+    late = float(view.t[after[last - 1]]) + _MARGIN_S if last else end
     return early, late
+
+
+def _window_means(residual: Array, width: int) -> Array:
+    """Means (m, 3) of `residual` (n, 3) over windows of `width` samples from the first on; a part of one is dropped."""
+    count = len(residual) // width
+    return np.asarray(residual[: count * width].reshape(count, width, 3).mean(axis=1))
 
 
 def _count_off_level(means: Array, scatter: Array) -> int:

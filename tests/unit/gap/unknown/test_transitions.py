@@ -111,6 +111,22 @@ def test_a_level_that_is_reached_late_is_a_transition_although_one_jump_was_foun
     assert transitions(stepped(lambda trace: np.outer(trace.t > ON_S, SIZE))) == ()
 
 
+@pytest.mark.parametrize("late", np.arange(12) / 50.0)
+def test_readings_beside_a_jump_are_seen_whenever_it_is(late):
+    """At 50 Hz a window has 12 samples: wherever the jump falls among them."""
+
+    def gradual(trace):
+        return np.outer(np.clip((trace.t - ON_S - late + 0.15) / 0.4, 0.0, 1.0), SIZE)
+
+    def sudden(trace):
+        return np.outer(trace.t > ON_S + late, SIZE)
+
+    (found,) = transitions(stepped(gradual, ON_S + late))
+    assert found.end > ON_S + late + 0.25
+    for off in (-0.02, 0.0, 0.02):
+        assert transitions(stepped(sudden, ON_S + late + off)) == ()
+
+
 @pytest.mark.parametrize(("apart", "events"), [(0.0, 0), (0.01, 0), (0.029, 0), (0.4, 1)])
 def test_jumps_within_a_sample_and_a_half_are_one_moment(apart, events):
     """Two instances whose jumps are fitted each by its own samples: at 50 Hz the same one up to 0.03 s."""
