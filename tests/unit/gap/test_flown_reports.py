@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import pytest
 
 from mavcal.calib import gap, logs
 from mavcal.calib.airframe.answer import Domain
+from mavcal.calib.gap.progress import GapPace
 from mavcal.calib.gap.schema import GapReport, GapVerdict
-from mavcal.calib.recording import Recording
+from mavcal.calib.recording import Recording, Sensor
 from tests.unit.airframe.flights import flight
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
@@ -49,6 +51,25 @@ def test_each_effect_is_told_of_where_it_sits(tmp_path: Path, simulated: Recordi
     assert report.verdict is verdict
     assert not report.unknown.flag
     assert report.airframe is not None
+
+
+def muted(recording: Recording) -> Recording:
+    """The recording as if its log had no outputs of the motors, nor what its controller asks for."""
+    channels = [c for c in recording.channels if c.sensor != Sensor.MOTOR]
+    dynamics = tuple(c for c in recording.dynamics if c.sensor not in {Sensor.CONTROL, Sensor.MIXER})
+    return replace(recording.with_channels(channels), dynamics=dynamics)
+
+
+@pytest.mark.parametrize("which", ["real", "simulated"])
+def test_a_flight_without_outputs_is_not_held_for_one_with_the_same_airframe(
+    tmp_path: Path, simulated: Recording, which: str
+) -> None:
+    weak = flight(tmp_path / "x.bin", other=True, SIM_ENGINE_FAIL=4.0, SIM_ENGINE_MUL=0.9)
+    pair = (muted(weak), simulated) if which == "real" else (weak, muted(simulated))
+    report = gap.run(*pair, pace=GapPace(lambda: 1.0, limit_s=0.1))
+    (untested,) = (n for n in report.not_testable if n.id == "airframe")
+    assert untested.reason == f"{which} recording: no commands of the motors are logged"
+    assert "LOG_BITMASK" in untested.need
 
 
 def packed(folder: Path, name: str, to: Path) -> Recording:
