@@ -18,7 +18,7 @@ import numpy as np
 from mavcal.calib.airframe.answer import AirframePart
 from mavcal.calib.airframe.diagnose import airframe_alone, airframe_gap
 from mavcal.calib.airframe.effects import IDS as AIRFRAME_IDS
-from mavcal.calib.airframe.found import AirframeAnswer
+from mavcal.calib.airframe.found import AirframeAnswer, NoAirframe
 from mavcal.calib.errors import IncomparableError, InvalidInputError
 from mavcal.calib.gap.cleaned import without_matrix_errors
 from mavcal.calib.gap.companion.baselines import problem_of
@@ -45,6 +45,7 @@ __all__ = [
     "simulator_of",
 ]
 
+_NO_SIMULATOR = NoAirframe("one flight alone shows no gap of its airframe", "a flight of the simulator, as --sim")
 _MOVING = 2.0
 """Speed, m/s, from which a vehicle is not on a bench. Chosen, not measured: an estimator at rest stays far below."""
 
@@ -111,7 +112,8 @@ def run(
     digests = dict(inputs or {})
     try:
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)
-        foreign = (lambda _: ()) if flown is None else partial(of_no_sensor, real=real, sim=sim)
+        flies = flown is not None or (sim is None and _is_flight(real))
+        foreign = partial(of_no_sensor, real=real, sim=sim) if flies else (lambda _: ())
         report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace, foreign=foreign)
     except IncomparableError as error:
         report = untestable(error.reason, error.need, digests)
@@ -124,6 +126,7 @@ def run(
         report = unsearched(report, pace)
     elif sim is None and _is_flight(real):
         alone = airframe_alone(real, frame=frame, estimator=estimator_error(real))
+        report = joined(report, alone if isinstance(alone, NoAirframe) else _NO_SIMULATOR, real)
         if isinstance(alone, AirframePart):
             report = dataclasses.replace(report, airframe=alone)
     base, vehicle = simulator_of(real, sim), real.parameters.final()

@@ -114,14 +114,18 @@ def _verdict(report: GapReport) -> str:
         and all(map(_has_rivals, lasting))
     ):
         return f"{_ONE_OF_SEVERAL[lasting[0].domain]} {_WHICH}"
-    of_flight = Domain.AIRFRAME in domains or (report.airframe is not None and report.verdict is GapVerdict.UNKNOWN)
+    of_flight = Domain.AIRFRAME in domains or (_flown(report) and report.verdict is GapVerdict.UNKNOWN)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 
 
 def _only_flight(report: GapReport) -> bool:
     """Whether the flights were compared, which need no attitude from the reference, and no sensor was."""
-    flown = report.airframe is not None and bool(report.airframe.probabilities)
-    return report.inputs.useless and (flown or bool(_domains(report) - {Domain.SENSOR}))
+    return report.inputs.useless and (_flown(report) or bool(_domains(report) - {Domain.SENSOR}))
+
+
+def _flown(report: GapReport) -> bool:
+    """Whether two flights were compared."""
+    return report.airframe is not None and bool(report.airframe.probabilities)
 
 
 def _sensors_untested(report: GapReport) -> str:

@@ -36,6 +36,8 @@ either side."""
 _SURROUNDINGS = 51
 """Rows over which the noise stays the same. Chosen, not measured: a variance of so many is known to 20 %
 (sqrt(2/51))."""
+_CERTAIN = 10.0
+"""Standard errors above which a stay at the limit says no more. Chosen, not measured: noise has heavy tails."""
 _SAFETY = 1.5
 """Factor on the number of repeats by chance, whose noise is an estimate. Chosen, not measured: more than that estimate
 errs by."""
@@ -75,7 +77,8 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
     limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
     for axis in range(3):
         for side in (1.0, -1.0):
-            pile, gain = _samples_at_limit(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
+            readings = side * trace.measured[:, axis], side * trace.ideal[:, axis]
+            pile, gain = _samples_at_limit(*readings, trace.observed, trace.quantum)
             if gain >= _EVIDENCE:
                 limits.append(float(np.abs(trace.measured[pile, axis]).max()))
                 two_delta += gain
@@ -88,7 +91,7 @@ def saturation(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [float(np.median(limits))], [spread], two_delta, text, rows)
 
 
-def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
+def _samples_at_limit(measured: Array, ideal: Array, observed: Mask, quantum: float) -> tuple[Mask, float]:
     """Rows at the largest value, and the evidence for a limit: more rows than just below, with the ideal beyond."""
     top = float(measured[observed].max(initial=-np.inf))
     near = EQUAL * abs(top)
@@ -102,13 +105,33 @@ def _samples_at_limit(measured: Array, ideal: Array, observed: Mask) -> tuple[Ma
     chance = max(float(repeats[-3:].max()), 0.5)
     if count <= 3.0 * chance:
         return pile, 0.0
-    residual = measured - ideal
-    typical = float(np.median(residual[observed & ~pile]))
-    noise = max(noise_of(residual[observed & ~pile]), near)
-    short = np.maximum(typical - residual[pile], 0.0)  # how much is missing, more than of other samples
     gain = 2.0 * (count * math.log(count / chance) - count + chance)
     # Without a shortfall it is no limit: the reference is clipped too, or the level is common.
-    return pile, gain if float((np.minimum(short / noise, 10.0) ** 2).sum()) >= _EVIDENCE else 0.0
+    return pile, gain if _shortfall_evidence(measured - ideal, pile, observed, quantum) >= _EVIDENCE else 0.0
+
+
+def _shortfall_evidence(residual: Array, pile: Mask, observed: Mask, quantum: float) -> float:
+    """Squared standard errors by which readings at the limit fall short of those around; 0 if they do not.
+
+    A stay counts once however long it is: a reference that is off for its time is off in all of its rows.
+    """
+    rows, elsewhere = np.flatnonzero(pile), observed & ~pile
+    stays = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    lengths = np.minimum([len(stay) for stay in stays], _SURROUNDINGS)
+    filled = np.where(elsewhere, residual, np.median(residual[elsewhere]))
+    errors = {n: _error_of_mean(filled, elsewhere, n) for n in set(lengths.tolist())}
+    short = np.empty(len(stays))
+    for k, stay in enumerate(stays):
+        beside = slice(max(stay[0] - _SURROUNDINGS, 0), stay[-1] + _SURROUNDINGS)
+        level = min(float(np.median(filled[beside])), 0.0)  # of a reading that is as ideal nothing is missing
+        short[k] = min((level - float(residual[stay].mean()) - 0.5 * quantum) / errors[int(lengths[k])], _CERTAIN)
+    return max(float(short @ np.sqrt(lengths)), 0.0) ** 2 / float(lengths.sum())
+
+
+def _error_of_mean(residual: Array, rows: Mask, count: int) -> float:
+    """Standard error of a mean of `count` residuals (N,) beside those around, as seen at `rows` (N,)."""
+    apart = np.abs(uniform_filter1d(residual, count) - uniform_filter1d(residual, count + 2 * _SURROUNDINGS))[rows]
+    return 1.4826 * float(np.median(apart)) + EQUAL * float(np.abs(residual[rows]).max())
 
 
 def dead_band(trace: Trace) -> LatticeEvidence | None:

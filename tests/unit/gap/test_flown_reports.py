@@ -72,6 +72,15 @@ def test_a_flight_without_outputs_is_not_held_for_one_with_the_same_airframe(
     assert "LOG_BITMASK" in untested.need
 
 
+def test_turbulence_of_a_flight_alone_is_no_noise_of_its_sensors(tmp_path: Path) -> None:
+    """Both units feel it alike, and not at rest."""
+    report = gap.run(flight(tmp_path / "x.bin", SIM_WIND_SPD=6.0, SIM_WIND_TURB=1.0), nested=False)
+    assert not [e.id for e in report.effects if e.id.startswith(("accel_", "gyro_"))]
+    (untested,) = (n for n in report.not_testable if n.id == "airframe")
+    assert "--sim" in untested.need
+    assert report.airframe is not None
+
+
 def packed(folder: Path, name: str, to: Path) -> Recording:
     plain = to / name
     plain.write_bytes(lzma.decompress((folder / f"{name}.xz").read_bytes()))

@@ -260,8 +260,13 @@ def test_effects_stand_by_domain_the_airframe_first_and_the_day_last():
     ],
 )  # fmt: skip
 def test_the_verdict_is_of_what_was_compared(effects, verdict, said):
-    whole = replace(report(*effects), verdict=verdict, airframe=AirframePart())
-    assert said in verdict_sentence(whole)
+    compared = AirframePart(probabilities={"rotor_drag": 0.5})
+    assert said in verdict_sentence(replace(report(*effects), verdict=verdict, airframe=compared))
+
+
+def test_a_flight_alone_is_not_said_to_differ_from_a_simulated_one():
+    alone = replace(report(), verdict=GapVerdict.UNKNOWN, airframe=AirframePart())
+    assert "flight differs" not in verdict_sentence(alone)
 
 
 def test_the_day_is_told_apart_from_the_vehicle():

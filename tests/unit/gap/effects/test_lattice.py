@@ -70,6 +70,19 @@ def test_an_end_of_the_range_is_found_unless_the_reference_has_it_too(sensor, li
     assert by_id()[f"{sensor}_hold"].detect(clipped) is None
 
 
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+@pytest.mark.parametrize("off", [0.03, 0.5])
+def test_a_quiet_sensor_that_dwells_at_its_largest_reading_is_at_no_end_of_the_range(phase, off):
+    """Twenty rows of the same level beside a reference that is off, for some seconds, by `off` uT."""
+    trace = _plain(Sensor.MAG)
+    t = np.arange(len(trace.t)) / 10.0
+    dwelling = np.clip(np.abs(t - t[-1] / 2.0) - 1.0, 0.0, None)
+    true = np.array([20.0, -40.0, 45.0]) * np.cos(np.minimum(0.5 * dwelling, 1.0) + 0.003 * dwelling)[:, None]
+    wandering = off * np.sin(0.4 * t + phase)[:, None]
+    quiet = dataclasses.replace(trace, t=t, ideal=true + wandering, quantum=0.1)
+    assert by_id()["mag_saturation"].detect(with_measured(quiet, np.round(true, 1))) is None
+
+
 @pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO])
 def test_a_dead_band_is_found(sensor):
     trace = _plain(sensor)
