@@ -34,6 +34,9 @@ in the flight, before it counts as a jump. Measured: a real quad of 2013 stays b
 _GLITCH_M: Final = 3.0
 """m by which a place may differ from the one before and the velocity. Source: receivers without correction wander by a
 metre a second at most."""
+_HOLE_S: Final = 1.0
+"""Seconds between places of the GPS over which its velocity is not known. Source: the slowest receivers send every
+second, and most five times a second."""
 _FEWEST: Final = 10
 _OVER_S: Final = 0.4
 _AT_ONCE_S: Final = 0.2
@@ -104,17 +107,22 @@ class Jump:
 
 
 def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
-    """Where velocity and integrated force part: resets of the estimator, glitches of the GPS."""
+    """Where velocity and integrated force part: resets of the estimator, glitches of the GPS.
+
+    Not across a hole of the log, where neither is known.
+    """
     local = np.einsum("nji,nj->ni", body, flight.force) + np.array([0.0, 0.0, flight.gravity])
     speed = np.cumsum(local, axis=0) / flight.fs
     apart = flight.velocity - speed
     steps, few = (round(seconds * flight.fs) for seconds in (_OVER_S, _AT_ONCE_S))
     size, quick = (np.linalg.norm(apart[n:] - apart[:-n], axis=1) for n in (steps, few))
+    holes = np.concatenate([[0], np.cumsum(~(flight.usable | flight.limited))])
+    size[holes[steps + 1 :] > holes[: -steps - 1]] = 0.0
     found: list[Jump] = []
     least = max(JUMP, _TIMES * float(np.median(size)))
     while size.max(initial=0.0) > least and len(found) < 20:
         at = int(size.argmax())
-        sudden = bool(quick[at : at + steps - few + 1].max() > _MOST * size[at])
+        sudden = flight.estimated and bool(quick[at : at + steps - few + 1].max() > _MOST * size[at])
         found.append(Jump(float(flight.t[at + steps // 2]), float(size[at]), sudden))
         around = round(AROUND_S * flight.fs)
         size[max(at - around, 0) : at + around] = 0.0
@@ -138,7 +146,8 @@ def glitches(recording: Recording, since: float, until: float) -> tuple[Jump, ..
         gone = np.diff(local, axis=0) - 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
         size = np.linalg.norm(gone, axis=1)
         least = max(_GLITCH_M, _TIMES * float(np.median(size)))
-        found += [Jump(float(t[k + 1]), float(size[k])) for k in np.flatnonzero(size > least)]
+        wrong = (size > least) & (np.diff(t) < _HOLE_S)
+        found += [Jump(float(t[k + 1]), float(size[k])) for k in np.flatnonzero(wrong)]
     return tuple(sorted(found, key=lambda j: j.t))
 
 

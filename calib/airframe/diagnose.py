@@ -292,7 +292,7 @@ def _answer(
         missing=untestable,
         part=part,
         tested=len(answer.blocks) + len(beside),
-        turbulence=loud,
+        turbulence=loud if real.flight.estimated == sim.flight.estimated else None,  # GPS velocity is rougher
         jumps=tuple(jump for jump in real.jumps if jump.sudden),
         glitches=real.glitches,
         unknown=unknown,

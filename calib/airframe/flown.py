@@ -71,7 +71,8 @@ class FlownFlight:
     the inertial unit. `others` are the forces of further units (N, 3). `c` (N, n) are the commands without what the
     grid folds back; `velocity` (N, 3) north, east, down; `q` (N, 4) body to local.
     `voltage` (N,), nan where it was not logged; `height` (N,) above the start, nan likewise. `usable` (N,) leaves out
-    limits, gaps and resets. `cutoff_hz` by sensor, 0: not filtered.
+    limits, gaps and resets. `cutoff_hz` by sensor, 0: not filtered. `estimated`: the velocity is the estimator's, not
+    the GPS's.
     """
 
     t: Array
@@ -94,6 +95,7 @@ class FlownFlight:
     geometry: Geometry
     commands: MotorCommands
     ardupilot: bool
+    estimated: bool = True
 
     @property
     def fs(self) -> float:
@@ -205,6 +207,7 @@ def flown(
         geometry=geometry,
         commands=commands,
         ardupilot=recording.identity.autopilot == "ardupilot",
+        estimated=any(velocity is c for c in recording.dynamics),
     )
 
 

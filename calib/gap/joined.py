@@ -74,19 +74,19 @@ def joined(
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in gone)
     sensors = tuple(e for e in report.effects if e not in (*gone, *same))
     said = (*report.warnings, *map(_as_simulated, same), *map(_refuted, refuted), *map(_late, late))
-    if isinstance(answer, NoAirframe):
-        untested = NotTestable("airframe", answer.reason, answer.need)
-        report = replace(report, not_testable=(*report.not_testable, untested))
-        return _of_sensors(report, sensors, (*said, *_shared(shared, "the untested airframe may cause it")))
     unlikely = (e for e in sensors if e.evidence.probability < LIKELY and not _stands_out(e, report))
     doubtful = tuple(e for e in unlikely if _moves(e) or not _compared(report))
     sensors = tuple(e for e in sensors if e not in doubtful)
-    doubtful = tuple(e for e in doubtful if e.evidence.probability >= _SPOKEN_OF)
+    in_doubt = map(_doubtful, (e for e in doubtful if e.evidence.probability >= _SPOKEN_OF))
+    if isinstance(answer, NoAirframe):
+        untested = NotTestable("airframe", answer.reason, answer.need)
+        report = replace(report, not_testable=(*report.not_testable, untested))
+        return _of_sensors(report, sensors, (*said, *_shared(shared, "the untested airframe may cause it"), *in_doubt))
     shaken = any(e.id == "accel_vibration" for e in sensors)
     found = (*map(_estimate, answer.found), *(() if shaken else _turbulence(answer, shared)), *_jumps(answer, real))
     effects = _with_shares((*found, *sensors))
     unknown = _unknown(report, answer, sensors)
-    warnings = (*said, *_shared(shared, "it counts as airframe or air"), *map(_doubtful, doubtful))
+    warnings = (*said, *_shared(shared, "it counts as airframe or air"), *in_doubt)
     return replace(
         report,
         verdict=_verdict(report, effects, unknown, answer),

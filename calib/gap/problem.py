@@ -15,12 +15,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.gap.schema import RE_ESTIMATED, EffectEstimate, is_useless
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 UNIT = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
 """Unit of the readings of each sensor."""
+
+
+class UnknownQuantityError(UndeterminedError):
+    """An effect follows a quantity that is not known for this sensor."""
 
 
 class ReferenceKind(StrEnum):
@@ -246,3 +251,18 @@ class GapProblem:
     """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
     worse: dict[Sensor, FaultyInstances] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""
+
+
+def known(quantity: Array | None, name: str) -> Array:
+    """`quantity` of a trace.
+
+    Raises
+    ------
+    UnknownQuantityError
+        If it is None; `name` says which.
+    """
+    if quantity is None:
+        raise UnknownQuantityError(
+            f"the {name} is not known", remedy=f"record the {name}, or give a reference that has it"
+        )
+    return quantity

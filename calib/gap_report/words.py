@@ -226,7 +226,10 @@ def chance(probability: float) -> str:
 def closed_sentence(shrink: Shrink | None) -> str:
     """How far the gap shrinks."""
     if shrink is None:
-        return "How far the gap shrinks could not be measured: the recording is too short to hold parts of it back."
+        return (
+            "How far the gap shrinks was not measured: the recording is too short to hold parts of it back, or some of "
+            "what was found is no sensor's."
+        )
     if shrink.closed is None:
         return (
             f"Nothing measurable to close: {number(shrink.before)} nats a sample before, {number(shrink.after)} after. "

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import Trace, known
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -22,15 +22,12 @@ shows 1 mm/s2, a tenth of a milligravity."""
 
 def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:
     """The components of the specific force (3, N), m/s2."""
-    assert trace.force is not None
-    return np.ascontiguousarray(trace.force.T)
+    return np.ascontiguousarray(known(trace.force, "specific force").T)
 
 
 def lever_columns(trace: Trace, _theta: float) -> Array:
     """Columns of the lever arm: ``dw/dt x e_j + w x (w x e_j)``, the acceleration one metre along axis j."""
-    assert trace.rate is not None
-    assert trace.spin is not None
-    w, a = trace.rate, trace.spin
+    w, a = known(trace.rate, "angular rate"), known(trace.spin, "angular acceleration")
     columns = np.empty((3, *w.shape))
     for j, e in enumerate(np.eye(3)):
         columns[j] = np.cross(a, e) + w * w[:, j : j + 1] - e * (w * w).sum(axis=1, keepdims=True)

@@ -22,7 +22,7 @@ from mavcal.calib.gap.effects.parts import (
     spread,
 )
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.problem import Trace, known
 from mavcal.calib.gap.reference.channels import TELLING_CURRENT
 from mavcal.calib.recording import Sensor
 
@@ -65,8 +65,7 @@ def soft_iron_columns(trace: Trace, _theta: float) -> Array:
 
 def current_signal(trace: Trace, _theta: float) -> Array:
     """The current in A, (1, N)."""
-    assert trace.current is not None
-    return trace.current[None, :]
+    return known(trace.current, "current")[None, :]
 
 
 def lagged_current_signal(trace: Trace, lag: float) -> Array:
@@ -74,8 +73,7 @@ def lagged_current_signal(trace: Trace, lag: float) -> Array:
 
     A compass averages over its interval, a current monitor filters, and both are logged at their own times.
     """
-    assert trace.current is not None
-    return np.interp(trace.t - lag, trace.t, trace.current)[None, :]
+    return np.interp(trace.t - lag, trace.t, known(trace.current, "current"))[None, :]
 
 
 def throttle_signal(trace: Trace, exponent: float) -> Array:
@@ -84,8 +82,7 @@ def throttle_signal(trace: Trace, exponent: float) -> Array:
     A propeller's current grows with the 1.5th power of its thrust; the firmware sets the relation of throttle and
     thrust.
     """
-    assert trace.throttle is not None
-    return np.maximum(trace.throttle, 0.0)[None, :] ** exponent
+    return np.maximum(known(trace.throttle, "throttle"), 0.0)[None, :] ** exponent
 
 
 def exponents(_trace: Trace) -> Array:
@@ -100,16 +97,14 @@ def lags(_trace: Trace) -> Array:
 
 def earth_columns(trace: Trace, _theta: float) -> Array:
     """North, east and down in body axes."""
-    assert trace.attitude is not None
-    return np.ascontiguousarray(body_from_ned(trace.attitude).transpose(2, 0, 1))
+    return np.ascontiguousarray(body_from_ned(known(trace.attitude, "attitude")).transpose(2, 0, 1))
 
 
 def gradient_columns(trace: Trace, _theta: float) -> Array:
     """The five fields of a uniform gradient about the mean position, in body axes."""
-    assert trace.attitude is not None
-    assert trace.place is not None
-    path = trace.place - trace.place[trace.observed].mean(axis=0)
-    turn = body_from_ned(trace.attitude)
+    place = known(trace.place, "position")
+    path = place - place[trace.observed].mean(axis=0)
+    turn = body_from_ned(known(trace.attitude, "attitude"))
     return np.stack([np.einsum("nij,nj->ni", turn, path @ g.T) for g in GRADIENT])
 
 

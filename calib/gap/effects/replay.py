@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects import by_id, forward_models
 from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
-from mavcal.calib.gap.problem import GapProblem, Trace
+from mavcal.calib.gap.problem import GapProblem, Trace, UnknownQuantityError
 from mavcal.calib.gap.schema import EffectEstimate
 
 Array = NDArray[np.float64]
@@ -42,21 +42,30 @@ def with_effects_in(
         changed = trace
         for effect, sign in _effects_on(trace, effects):
             described = next((e for e in forward_models().get(effect.id, ()) if _is_complete(e, effect)), None)
-            if isinstance(described, MeanEffect) and (shared or not described.shared):
-                added = sign * added_by(described, effect, trace)
-                # rows without a sample keep a zero residual
-                measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
-                changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
-            elif isinstance(described, NoiseEffect):
-                changed = _with_noise(changed, described, effect)
-            else:
+            try:
+                if isinstance(described, MeanEffect) and (shared or not described.shared):
+                    added = sign * added_by(described, effect, trace)
+                    # rows without a sample keep a zero residual
+                    measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
+                    changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
+                elif isinstance(described, NoiseEffect):
+                    changed = _with_noise(changed, described, effect)
+                else:
+                    lost[effect.id] = None
+            except UnknownQuantityError:
                 lost[effect.id] = None
         made.append(changed)
     return tuple(made), tuple(lost)
 
 
 def added_by(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
-    """What an effect with its parameters adds to the ideal reading of `trace` (N, 3)."""
+    """What an effect with its parameters adds to the ideal reading of `trace` (N, 3).
+
+    Raises
+    ------
+    UnknownQuantityError
+        If the effect follows what is not known for the trace, such as the angular rate.
+    """
     theta, amplitudes = shape_and_amplitudes(described, found)
     if described.exact is not None:
         return described.exact(trace, amplitudes)

@@ -16,7 +16,7 @@ from mavcal.calib.gap.effects.affine import scale_columns
 from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, axiswise, first_missing, lagged, missing_movement, per_axis
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
-from mavcal.calib.gap.problem import UNIT, Trace
+from mavcal.calib.gap.problem import UNIT, Trace, known
 from mavcal.calib.gap.remembered import remembered
 from mavcal.calib.recording import Sensor
 
@@ -48,8 +48,7 @@ _HEAT_AND_COOL = "heat and cool through the calibration temperature"
 
 def temperature_of(trace: Trace) -> Array:
     """Temperature (N,), degC."""
-    assert trace.temperature is not None
-    return trace.temperature
+    return known(trace.temperature, "temperature")
 
 
 def temperature_difference(trace: Trace, t_ref: float) -> Array:

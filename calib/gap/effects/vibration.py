@@ -27,7 +27,7 @@ from mavcal.calib.gap.effects.noise import white_density
 from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, axiswise, per_axis
 from mavcal.calib.gap.effects.traits import Trait
 from mavcal.calib.gap.likelihood import transform
-from mavcal.calib.gap.problem import UNIT, Trace
+from mavcal.calib.gap.problem import UNIT, Trace, known
 from mavcal.calib.gap.reference.channels import filter_gain
 from mavcal.calib.gap.reference.noise import LINE_HZ, LOWEST_ROTOR_HZ
 from mavcal.calib.gap.remembered import remembered
@@ -134,15 +134,12 @@ def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
 def running_envelope(trace: Trace) -> Array:
     """Envelope (N,) of mean one: the rotors' power if known, else whether the motors run."""
     power = rotor_power(trace) if trace.rotor_hz is not None else motors_running(trace).astype(np.float64)
-    assert power is not None
-    return _normalised(power, trace)
+    return _normalised(known(power, "throttle"), trace)
 
 
 def speed_envelope(trace: Trace) -> Array:
     """Envelope (N,) of mean one for noise whose amplitude grows with the square of the speed, as air loads do."""
-    power = rotor_power(trace)
-    assert power is not None
-    return _normalised(power, trace)
+    return _normalised(known(rotor_power(trace), "throttle"), trace)
 
 
 def _normalised(power: Array, trace: Trace) -> Array:
@@ -152,9 +149,7 @@ def _normalised(power: Array, trace: Trace) -> Array:
 
 def vibration_power(trace: Trace, _theta: float) -> Array:
     """Power of the vibration over time (1, N), one at its maximum."""
-    power = rotor_power(trace)
-    assert power is not None
-    return power[None]
+    return known(rotor_power(trace), "throttle")[None]
 
 
 def lines_below_half_rate(trace: Trace) -> Array:
@@ -191,9 +186,9 @@ def rotor_wave(trace: Trace, rotor_order: float) -> Array:
     `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. The firmware's filter is applied at the
     mean frequency.
     """
-    assert trace.rotor_hz is not None
     rotor, order = divmod(rotor_order, _ROTOR)
-    speed = np.maximum(trace.rotor_hz[:, int(np.clip(rotor, 1, trace.rotor_hz.shape[1])) - 1], 0.0)
+    speeds = known(trace.rotor_hz, "rotor speed")
+    speed = np.maximum(speeds[:, int(np.clip(rotor, 1, speeds.shape[1])) - 1], 0.0)
     mean = max(float(speed.mean()), np.finfo(float).tiny)
     phase = 2.0 * np.pi * order * cumulative_trapezoid(speed, dx=1.0 / trace.fs, initial=0.0)
     wave = (speed / mean) ** 2 * np.exp(1j * phase)
@@ -214,8 +209,8 @@ def orders_beyond(trace: Trace) -> Array:
 
 
 def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], bool]) -> Array:
-    assert trace.rotor_hz is not None
-    speeds = [float(s[s > LOWEST_ROTOR_HZ].mean()) if (s > LOWEST_ROTOR_HZ).any() else 0.0 for s in trace.rotor_hz.T]
+    rotors = known(trace.rotor_hz, "rotor speed").T
+    speeds = [float(s[s > LOWEST_ROTOR_HZ].mean()) if (s > LOWEST_ROTOR_HZ).any() else 0.0 for s in rotors]
     found = [_ROTOR * (k + 1) + h for k, s in enumerate(speeds) for h in orders if s > 0.0 and wanted(h * s)]
     return np.array(found, dtype=np.float64)
 

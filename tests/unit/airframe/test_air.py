@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mavcal.calib.airframe.air import JUMP, Jump, Turbulence, glitches, jumps, outside, turbulence
 from mavcal.calib.airframe.flown import FlownFlight
 from mavcal.calib.earth import SEMI_MAJOR_AXIS_M
-from mavcal.calib.recording import ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.airframe.made import HZ, G, airframe, flight, hover, stream
 
 N = 3000
@@ -51,6 +53,21 @@ def test_a_reset_of_the_estimator_is_found_with_its_time_and_size() -> None:
     kept = outside(one, (first, second))
     assert not kept[np.abs(one.t - first.t) < 1.4].any()
     assert kept[np.minimum(np.abs(one.t - first.t), np.abs(one.t - second.t)) > 1.6].all()
+
+
+def test_across_a_hole_of_the_log_nothing_is_a_reset() -> None:
+    one = moving(40.0, at_20=-0.9, at_10=1.5)
+    holed = dataclasses.replace(one, usable=one.usable & ~((one.t > 9.0) & (one.t < 11.0)))
+    (second,) = found(holed)
+    assert second.t == pytest.approx(20.0, abs=0.25)
+    limited = dataclasses.replace(one, usable=one.usable & (one.t < 19.0), limited=one.limited | (one.t >= 19.0))
+    assert len(found(limited)) == 2  # a command at its limit hides no velocity
+
+
+def test_a_velocity_of_the_gps_is_left_out_where_it_jumps_and_is_no_reset() -> None:
+    gps_only = dataclasses.replace(moving(40.0, at_20=-0.9), estimated=False)
+    (left_out,) = found(gps_only)
+    assert not left_out.sudden
 
 
 def test_a_drift_of_the_estimator_is_left_out_and_is_no_reset() -> None:
@@ -139,10 +156,17 @@ def gps(step_m: float = 0.0) -> Recording:
     return Recording(made, ParameterTimeline.constant({}), ())
 
 
+def kept_rows(channel: Channel, rows: np.ndarray) -> Channel:
+    return dataclasses.replace(channel, t=channel.t[rows], values=channel.values[rows])
+
+
 def test_a_place_that_jumps_beside_its_velocity_is_a_glitch_of_the_gps() -> None:
     assert glitches(gps(), 0.0, 30.0) == ()
     gone, back = glitches(gps(22.0), 0.0, 30.0)
     assert (gone.t, back.t) == (pytest.approx(12.0, abs=0.3), pytest.approx(20.0, abs=0.3))
     assert gone.size == pytest.approx(22.0, rel=0.05)
     assert glitches(gps(22.0), 13.0, 19.0) == ()
+    holed = tuple(kept_rows(c, (c.t < 11.0) | (c.t > 14.0)) for c in gps(22.0).channels)
+    (only,) = glitches(gps().with_channels(holed), 0.0, 30.0)
+    assert only.t == pytest.approx(20.0, abs=0.3)
     assert glitches(Recording((), ParameterTimeline.constant({}), ()), 0.0, 30.0) == ()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
+from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.effects.replay import with_effects
 from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.recording import Sensor
@@ -34,6 +36,24 @@ def test_what_another_instance_has_counts_against_it() -> None:
         GapProblem((pair,), a_problem().reference, 40.0), [effect("accel_bias", (1,), bias=(0.3, -0.2, 0.15))]
     )
     np.testing.assert_allclose(problem.traces[0].residual.mean(axis=0), 0.0, atol=0.01)
+
+
+UNKNOWN = dict.fromkeys(("force", "rate", "spin", "field", "attitude", "temperature", "current", "throttle"))
+UNKNOWN |= dict.fromkeys(("motors", "rotor_hz", "place"))
+
+
+@pytest.mark.parametrize("effect_id", sorted(forward_models()))
+def test_what_a_flight_does_not_know_is_lost_and_no_failure(effect_id: str) -> None:
+    """A simulator's lever arm beside a real flight whose rate is not known."""
+    shapes = {e.shape.parameter.name for e in forward_models()[effect_id] if e.shape is not None}
+    one = effect(effect_id, **dict.fromkeys(shapes, 5.0))
+    sensor = one.sensor or Sensor.ACCEL
+    (trace,) = problem_of(np.random.default_rng(8), (sensor,)).traces
+    bare = dataclasses.replace(trace, **UNKNOWN)
+    problem, lost = with_effects(GapProblem((bare,), a_problem().reference, 40.0), [one])
+    assert len(problem.traces) == 1
+    if effect_id in {"accel_lever_arm", "gyro_g_sensitivity", "mag_motor_current", "mag_motor_throttle"}:
+        assert lost == (effect_id,)
 
 
 def test_holes_stay_without_a_residual() -> None:
