@@ -153,7 +153,7 @@ def measured(
         not_set,
         log,
         (*_cut_short(report), *(_untold(n) for n in report.not_testable if _matters(n, report))),
-        (*notes, *(f"in doubt: {warning}" for warning in _doubts(report))),
+        (*notes, *(f"note: {warning}" for warning in _doubts(report))),
     )  # fmt: skip
 
 

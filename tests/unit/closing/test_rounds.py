@@ -231,7 +231,7 @@ def test_what_is_too_little_to_be_named_is_told_where_nothing_is() -> None:
     """A loop that ends with nothing left, and an error of the predicted flight that is none of the simulator's."""
     warnings = ("thrust_scale has a probability of 84 %, too little to name it",)
     alike = dataclasses.replace(report(verdict=GapVerdict.NO_GAP), warnings=warnings)
-    assert round_lines(measured(0, alike, START, "log.bin", with_frame=True))[1:] == [f"  in doubt: {warnings[0]}"]
+    assert round_lines(measured(0, alike, START, "log.bin", with_frame=True))[1:] == [f"  note: {warnings[0]}"]
     named = dataclasses.replace(report(SCALE), warnings=warnings)
     assert measured(0, named, START, "log.bin", with_frame=True).notes == ()
 
