@@ -26,6 +26,7 @@ from mavcal.calib.gap.diagnose import diagnose, untestable
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.joined import joined
+from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import DEFAULT_LIMIT_S, GapPace, GapProgress, GapStage, unsearched
 from mavcal.calib.gap.reference.estimator import estimator_error
 from mavcal.calib.gap.remembered import one_diagnosis
@@ -104,7 +105,8 @@ def run(
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(unknown_ids)}")
     selected = tuple(effect for effect in effects if effect.id not in without)
     pace = pace or GapPace()
-    flown = None
+    flown: AirframeAnswer | NoAirframe | None = None
+    companion: tuple[Trace, ...] = ()
     if sim is not None and _is_flight(real):
         pace.begin(GapStage.AIRFRAME)
         flown = airframe_gap(real, sim, without=without, frame=frame, ended=pace.ends, estimator=estimator_error)
@@ -114,15 +116,16 @@ def run(
         problem = dataclasses.replace(problem_of(real, sim, nominal, alpha, pace), inputs=digests)
         flies = flown is not None or (sim is None and _is_flight(real))
         foreign = partial(of_no_sensor, real=real, sim=sim) if flies else (lambda _: ())
+        companion = problem.companion
         report = diagnose(problem, effects=selected, alpha=alpha, nested=nested, pace=pace, foreign=foreign)
     except IncomparableError as error:
         report = untestable(error.reason, error.need, digests)
     if flown is not None and sim is not None:
-        sensors, report = report, joined(report, flown, real, sim)
+        sensors, report = report, joined(report, flown, real, sim, companion)
         if isinstance(flown, AirframeAnswer) and (right := without_matrix_errors(real, report)) is not None:
             # a search cut short would take names away
             flown = airframe_gap(right, sim, without=without, frame=frame, estimator=estimator_error)
-            report = joined(sensors, flown, real, sim)
+            report = joined(sensors, flown, real, sim, companion)
         report = unsearched(report, pace)
     elif sim is None and _is_flight(real):
         alone = airframe_alone(real, frame=frame, estimator=estimator_error(real))

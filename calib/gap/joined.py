@@ -20,6 +20,7 @@ from mavcal.calib.airframe.found import AirframeAnswer, FoundEffect, FoundValue,
 from mavcal.calib.gap.effects import by_id
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
+from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.progress import GapStage
 from mavcal.calib.gap.sampling_jitter import is_sampling_jitter
 from mavcal.calib.gap.schema import (
@@ -35,7 +36,7 @@ from mavcal.calib.gap.schema import (
     Unknown,
 )
 from mavcal.calib.gap.unknown.verdict import NOT_LASTING
-from mavcal.calib.gap.witness import as_simulated, not_borne_out, refuted_at_rest
+from mavcal.calib.gap.witness import as_simulated, in_both_flights, not_borne_out, refuted_at_rest
 from mavcal.calib.recording import Recording, Sensor
 
 _Z95: Final = 1.959964
@@ -52,7 +53,11 @@ _LEAST_P: Final = 1e-300
 
 
 def joined(
-    report: GapReport, answer: AirframeAnswer | NoAirframe, real: Recording, sim: Recording | None = None
+    report: GapReport,
+    answer: AirframeAnswer | NoAirframe,
+    real: Recording,
+    sim: Recording | None = None,
+    companion: Sequence[Trace] = (),
 ) -> GapReport:
     """The sensors' report with airframe and air.
 
@@ -66,14 +71,18 @@ def joined(
         The recording that both are of.
     sim
         The simulator's, whose units may differ from each other as much.
+    companion
+        Its sensors beside their own trajectory, which may show the same.
     """
     refuted = refuted_at_rest(report, real, sim)
     shared = tuple(e for e in not_borne_out(report, real) if e not in refuted)
     late = tuple(e for e in report.effects if is_sampling_jitter(e, real))
     gone = (*refuted, *shared, *late)
     same = () if sim is None else tuple(e for e in as_simulated(report, real, sim) if e not in gone)
-    sensors = tuple(e for e in report.effects if e not in (*gone, *same))
-    said = (*report.warnings, *map(_as_simulated, same), *map(_refuted, refuted), *map(_late, late))
+    both = tuple(e for e in in_both_flights(report, companion) if e not in (*gone, *same))
+    sensors = tuple(e for e in report.effects if e not in (*gone, *same, *both))
+    said = (*report.warnings, *map(_as_simulated, same), *map(_in_both, both), *map(_refuted, refuted))
+    said = (*said, *map(_late, late))
     unlikely = (e for e in sensors if e.evidence.probability < LIKELY and not _stands_out(e, report))
     doubtful = tuple(e for e in unlikely if _moves(e) or not _compared(report))
     sensors = tuple(e for e in sensors if e not in doubtful)
@@ -228,6 +237,10 @@ def _as_simulated(effect: EffectEstimate) -> str:
     return f"{effect.id} is no gap: the simulator's units differ from each other by as much"
 
 
+def _in_both(effect: EffectEstimate) -> str:
+    return f"{effect.id} of {_units(effect)} is no gap: the simulator's flight shows it as well"
+
+
 def _late(effect: EffectEstimate) -> str:
     hz = next(p.value for p in effect.params if p.name == "frequency_hz")
     return (
@@ -257,9 +270,13 @@ def _compared(report: GapReport) -> bool:
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
     """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
 
-    Noise adds nothing to the model of a series: it is larger if it gains more than two nats a number. Drift noise is
-    never. A size within five standard errors may be an error of the reference, which they include.
+    Not if another effect may be in its place, or if something without a name is on the sensor. Noise adds nothing to
+    the model of a series: it is larger if it gains more than two nats a number. Drift noise is never. A size within
+    five standard errors may be an error of the reference, which they include.
     """
+    replaced = any(rival.id != effect.id for rival in effect.confusable_with)
+    if replaced or (report.unknown.flag and str(effect.sensor) in report.unknown.shape):
+        return False
     own = [s for s in report.series if s.sensor == effect.sensor and set(s.instances) & set(effect.instances)]
     known = by_id().get(effect.id)
     if isinstance(known, NoiseEffect):

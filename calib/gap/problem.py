@@ -249,6 +249,8 @@ class GapProblem:
     """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""
     own_attitude: tuple[Array, Array] | None = None
     """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
+    companion: tuple[Trace, ...] = ()
+    """The simulator's flight, its own effects in the ideal reading: what it shows as well is no gap."""
     worse: dict[Sensor, FaultyInstances] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""
 

@@ -5,7 +5,8 @@ What two inertial units see alike, and rest does not show, is the airframe or th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -13,10 +14,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.gap.effects import by_id
-from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.effects.replay import with_effects_in
 from mavcal.calib.gap.effects.traits import SensorTerm, Trait
 from mavcal.calib.gap.effects.vibration import RUNNING_THROTTLE
 from mavcal.calib.gap.export.sensor_errors import matrix_of, vector
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.resolution import EQUAL
 from mavcal.calib.gap.sampling_jitter import is_sampling_jitter
 from mavcal.calib.gap.schema import FIRST, EffectEstimate, GapReport, SeriesFit
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -37,6 +41,8 @@ _SEEN: Final = 5.0
 """Standard errors of that slope, of white noise, that it must have. Chosen, not measured: it is not white."""
 _SAME_TIME_S: Final = 0.003
 """s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
+_CONSTANT: Final = 0.01
+"""Part of its mean by which an effect varies that is constant. Chosen, not measured: a hundredth shows nothing."""
 _REST: Final = 0.03
 """m/s2 by which the norm at rest may differ from gravity. Source: local gravity."""
 _BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
@@ -136,6 +142,30 @@ def _gravity_only(series: SeriesFit) -> bool:
 def as_simulated(report: GapReport, real: Recording, sim: Recording) -> tuple[EffectEstimate, ...]:
     """Biases by which the simulator's units differ from each other too: what both flights show is no gap."""
     return tuple(e for e in report.effects if e.sensor in _INERTIAL and _simulated(e, real, sim))
+
+
+def in_both_flights(report: GapReport, companion: Sequence[Trace]) -> tuple[EffectEstimate, ...]:
+    """Effects that the `companion` flight of the simulator shows as well, by about as much."""
+    return tuple(e for e in report.effects if e.sensor is not None and _in_companion(e, companion))
+
+
+def _in_companion(effect: EffectEstimate, companion: Sequence[Trace]) -> bool:
+    """Whether the companion's residual follows what the effect would add to it."""
+    if not isinstance(by_id().get(effect.id), MeanEffect):
+        return False
+    with_it, _ = with_effects_in(companion, (effect,))
+    product = power = 0.0
+    for before, after in zip(companion, with_it, strict=True):
+        says = (after.ideal - before.ideal)[before.observed]
+        if np.abs(says).max(initial=0.0) <= EQUAL * np.abs(before.ideal).max(initial=0.0):
+            continue
+        steady = says.std(axis=0) < _CONSTANT * np.abs(says.mean(axis=0))  # else an offset says nothing of it
+        left = before.residual[before.observed]
+        x, y = (np.where(steady, v, v - v.mean(axis=0)) for v in (says, left))
+        weight = 1.0 / np.maximum((y**2).mean(axis=0), np.finfo(float).tiny)
+        product += float((x * y * weight).sum())
+        power += float((x * x * weight).sum())
+    return power > 0.0 and max(_FOLLOWS, _SEEN / math.sqrt(power)) < product / power < 1.0 / _FOLLOWS
 
 
 def _simulated(effect: EffectEstimate, real: Recording, sim: Recording) -> bool:

@@ -202,7 +202,7 @@ class SimulatedBaseline:
     flights differ.
     By sensor: `gains` of the largest of them, `own_gains` of the largest own one; `changes` of the ideal reading by all
     of them, as a sum of squares; `movement`, the variance of the ideal reading; `accepted_difference`, the gain below
-    which no effect was searched for.
+    which no effect was searched for. `traces` are those of the flight, `effects` in their ideal reading.
     """
 
     effects: tuple[EffectEstimate, ...]
@@ -214,6 +214,7 @@ class SimulatedBaseline:
     movement: Mapping[Sensor, float]
     accepted_difference: Mapping[Sensor, float]
     reference: ReferenceInfo
+    traces: tuple[Trace, ...]
 
     def added_to_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
         """Traces of the simulator with its effects in the ideal reading: the residual is its noise."""
@@ -241,7 +242,8 @@ def simulated_baseline_of(problem: GapProblem, alpha: float, pace: GapPace | Non
     uncertain = (*effects, *doubted)
     changes = _squared_changes(problem, uncertain)
     moves = _movement_variance(problem)
-    return SimulatedBaseline(effects, own, uncertain, largest, within, changes, moves, small, problem.reference)
+    traces, _ = with_effects_in(problem.traces, effects)
+    return SimulatedBaseline(effects, own, uncertain, largest, within, changes, moves, small, problem.reference, traces)
 
 
 def _without_learned_noise(trace: Trace) -> Trace:
@@ -266,7 +268,9 @@ def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) ->
     # The uncertain part of a mean varies with the movement: it looks like drift noise or motor noise, not like
     # stationary noise.
     minimum_gain = MinimumGain(least, least, level, noise, drift_entry=least)
-    return replace(changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings)
+    return replace(
+        changed, minimum_gain=minimum_gain, reference=reference, warnings=warnings, companion=baseline.traces
+    )
 
 
 def _calm_flight_warnings(moves: Mapping[Sensor, float], before: Mapping[Sensor, float]) -> Iterator[str]:

@@ -21,6 +21,7 @@ from mavcal.calib.gap.schema import (
     LocatedGap,
     MultipleTesting,
     Regime,
+    Rival,
     SeriesFit,
     Unknown,
     as_json,
@@ -141,6 +142,22 @@ def test_a_large_effect_of_a_sensor_is_named_though_its_unit_is_in_doubt() -> No
         series = SeriesFit(Sensor.GYRO, (1, 2), T, left + part, part, np.ones(3), "rad/s", {"gyro_scale": part})
         after = joined(replace(report(scale), series=(series,)), answer(thrust()), BARE)
         assert [e.id for e in after.effects] == named
+
+
+def test_a_large_effect_is_not_named_where_another_may_be_in_its_place_or_the_sensor_has_more() -> None:
+    """Of half a flight of a real quad: a soft iron (.29) and a hard iron (.84) beside what had no name."""
+    scale = effect("gyro_scale", (1,), scale=(0.1, 0.0, 0.0))
+    scale = replace(scale, evidence=replace(scale.evidence, probability=0.5))
+    part = 0.1 * np.sin(T)[:, None].repeat(3, axis=1)
+    series = SeriesFit(Sensor.GYRO, (1, 2), T, noise(1, 0.01) + part, part, np.ones(3), "rad/s", {"gyro_scale": part})
+    rival = replace(scale, confusable_with=(Rival("gyro_misalignment", 0.9, 1.0, "turn"),))
+    nameless = Unknown(flag=True, share=0.4, shape="function of throttle on gyro")
+    for one, unknown in ((rival, Unknown(flag=False)), (scale, nameless)):
+        before = replace(report(one), series=(series,), unknown=unknown)
+        assert [e.id for e in joined(before, answer(thrust()), BARE).effects] == ["thrust_scale"]
+        alone = joined(before, NoAirframe("no commands", "a log"), BARE)
+        assert alone.effects == ()
+        assert any("its probability is 0.50" in warning for warning in alone.warnings)
 
 
 @pytest.mark.parametrize(("off", "named"), [(3.0, ["thrust_scale"]), (8.0, ["thrust_scale", "mag_hard_iron"])])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.schema import EffectEstimate, GapReport, SeriesFit
-from mavcal.calib.gap.witness import not_borne_out, refuted_at_rest
+from mavcal.calib.gap.witness import in_both_flights, not_borne_out, refuted_at_rest
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 from tests.unit.gap.export.making import effect, report
+from tests.unit.gap.synthetic import problem_of
 
 G = 9.80665
 T = np.arange(0.0, 60.0, 0.01)
@@ -190,3 +191,30 @@ def test_units_of_different_rates_are_compared_where_both_have_samples() -> None
     assert not_borne_out(told(one, air), Recording((first, second))) == (one,)
     few = unit(1, REST, rows=slice(None, None, 200))
     assert not_borne_out(told(one, air), Recording((first, few))) == ()
+
+
+MOTORS = np.array([0.3, -0.5, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("times", "iron", "both"),
+    [(0.0, 0.0, False), (0.2, 0.0, False), (1.0, 0.0, True), (1.0, 17.0, True), (1.2, -17.0, True), (-1.0, 0.0, False)],
+)
+def test_what_the_simulators_flight_shows_by_as_much_is_no_gap(times: float, iron: float, both: bool) -> None:
+    """Halves of one flight: the motors' field of a real quad's third compass was told of the first half."""
+
+    def field(trace):
+        return times * np.outer(trace.current, MOTORS) + [iron, 0.0, 0.0]
+
+    (trace,) = problem_of(np.random.default_rng(3), (Sensor.MAG,), field).traces
+    current = effect("mag_motor_current", per_ampere=tuple(MOTORS))
+    assert in_both_flights(report(current), (trace,)) == ((current,) if both else ())
+
+
+@pytest.mark.parametrize(("iron", "both"), [(0.0, False), (5.0, True), (-5.0, False), (15.0, False)])
+def test_an_offset_is_in_both_flights_if_the_other_has_about_the_same(iron: float, both: bool) -> None:
+    (trace,) = problem_of(np.random.default_rng(3), (Sensor.MAG,), lambda _: np.array([iron, 0.0, 0.0])).traces
+    offset = effect("mag_hard_iron", hard_iron=(5.0, 0.0, 0.0))
+    assert in_both_flights(report(offset), (trace,)) == ((offset,) if both else ())
+    assert in_both_flights(report(effect("mag_noise")), (trace,)) == ()
+    assert in_both_flights(report(effect("mag_hard_iron", (2,), hard_iron=(5.0, 0.0, 0.0))), (trace,)) == ()
