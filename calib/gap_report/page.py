@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup
 
 from mavcal.calib import pages
@@ -67,7 +68,7 @@ class _Pictures:
 
 
 def _pictures(report: GapReport) -> _Pictures:
-    series = report.series[:_MOST_SERIES]
+    series = [fit for fit in report.series if np.nan_to_num(fit.residual).any()][:_MOST_SERIES]  # units may be equal
     airframe = report.airframe or AirframePart()
     return _Pictures(
         waterfall=Markup() if report.shrink is None else waterfall(report.shrink),

@@ -88,6 +88,15 @@ def test_every_part_of_the_report_has_its_place() -> None:
     assert len(pictures(page)) == 8  # waterfall, map, effect, spectrum, Allan, strip, current, overlay
 
 
+def test_units_that_read_the_same_have_no_empty_pictures() -> None:
+    """Three simulated compasses are equal to the last digit."""
+    whole = a_report()
+    (fit,) = whole.series
+    equal = dataclasses.replace(fit, residual=0.0 * fit.residual, modelled=0.0 * fit.modelled, parts={})
+    both = dataclasses.replace(whole, series=(fit, equal))
+    assert len(pictures(gap_to_html(both))) == len(pictures(gap_to_html(whole)))
+
+
 def test_pictures_are_well_formed_and_finite() -> None:
     for picture in pictures(gap_to_html(a_report())):
         ElementTree.fromstring(picture)
