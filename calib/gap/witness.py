@@ -162,7 +162,8 @@ def _in_companion(effect: EffectEstimate, companion: Sequence[Trace]) -> bool:
         steady = says.std(axis=0) < _CONSTANT * np.abs(says.mean(axis=0))  # else an offset says nothing of it
         left = before.residual[before.observed]
         x, y = (np.where(steady, v, v - v.mean(axis=0)) for v in (says, left))
-        weight = 1.0 / np.maximum((y**2).mean(axis=0), np.finfo(float).tiny)
+        # a unit that equals another one to the last digit follows nothing that only one of them has
+        weight = 1.0 / np.maximum((y**2).mean(axis=0), EQUAL * (x**2).mean(axis=0) + np.finfo(float).tiny)
         product += float((x * y * weight).sum())
         power += float((x * x * weight).sum())
     return power > 0.0 and max(_FOLLOWS, _SEEN / math.sqrt(power)) < product / power < 1.0 / _FOLLOWS

@@ -218,3 +218,10 @@ def test_an_offset_is_in_both_flights_if_the_other_has_about_the_same(iron: floa
     assert in_both_flights(report(offset), (trace,)) == ((offset,) if both else ())
     assert in_both_flights(report(effect("mag_noise")), (trace,)) == ()
     assert in_both_flights(report(effect("mag_hard_iron", (2,), hard_iron=(5.0, 0.0, 0.0))), (trace,)) == ()
+
+
+def test_units_of_the_simulator_that_read_the_same_show_nothing_of_one() -> None:
+    first, second = problem_of(np.random.default_rng(3), (Sensor.MAG,), instances=2).traces
+    equal = replace(second, measured=first.measured, ideal=first.measured, against=0)
+    offset = effect("mag_hard_iron", (2,), hard_iron=(5.0, 0.0, 0.0))
+    assert in_both_flights(report(offset), (equal,)) == ()
