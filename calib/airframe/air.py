@@ -34,9 +34,8 @@ in the flight, before it counts as a jump. Measured: a real quad of 2013 stays b
 _GLITCH_M: Final = 3.0
 """m by which a place may differ from the one before and the velocity. Source: receivers without correction wander by a
 metre a second at most."""
-_HOLE_S: Final = 1.0
-"""Seconds between places of the GPS over which its velocity is not known. Source: the slowest receivers send every
-second, and most five times a second."""
+_HOLE_S: Final = 1.5
+"""Seconds between places of the GPS from which on a log has a hole. Source: the slowest receivers send every second."""
 _FEWEST: Final = 10
 _OVER_S: Final = 0.4
 _AT_ONCE_S: Final = 0.2

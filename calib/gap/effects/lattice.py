@@ -113,7 +113,7 @@ def _samples_at_limit(measured: Array, ideal: Array, observed: Mask, quantum: fl
 def _shortfall_evidence(residual: Array, pile: Mask, observed: Mask, quantum: float) -> float:
     """Squared standard errors by which readings at the limit fall short of those around; 0 if they do not.
 
-    A stay counts once however long it is: a reference that is off for its time is off in all of its rows.
+    Each stay has the error of its own mean: a reference that is off for its time is off in all of its rows.
     """
     rows, elsewhere = np.flatnonzero(pile), observed & ~pile
     stays = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)

@@ -166,6 +166,8 @@ def test_a_place_that_jumps_beside_its_velocity_is_a_glitch_of_the_gps() -> None
     assert (gone.t, back.t) == (pytest.approx(12.0, abs=0.3), pytest.approx(20.0, abs=0.3))
     assert gone.size == pytest.approx(22.0, rel=0.05)
     assert glitches(gps(22.0), 13.0, 19.0) == ()
+    slow = tuple(kept_rows(c, np.arange(len(c.t)) % 5 == 0) for c in gps(22.0).channels)
+    assert len(glitches(gps().with_channels(slow), 0.0, 30.0)) == 2  # once a second
     holed = tuple(kept_rows(c, (c.t < 11.0) | (c.t > 14.0)) for c in gps(22.0).channels)
     (only,) = glitches(gps().with_channels(holed), 0.0, 30.0)
     assert only.t == pytest.approx(20.0, abs=0.3)
