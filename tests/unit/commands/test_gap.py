@@ -109,7 +109,7 @@ def test_no_effect_of_the_airframe_needs_the_sensor_that_it_has_not(said):
 
 
 def test_how_far_the_gap_shrinks_is_said_where_there_are_effects(said):
-    assert beginning(said(report(BIAS)), "How far the gap shrinks could not be measured")
+    assert beginning(said(report(BIAS)), "How far the gap shrinks was not measured")
     shrink = Shrink(2.0, 0.5, 0.0, "declared_noise", 0.75, None, nested=True)
     assert beginning(said(replace(report(BIAS), shrink=shrink)), "On data that were held out, adding")
     assert not beginning(said(report()), "How far")
