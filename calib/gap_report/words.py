@@ -114,7 +114,8 @@ def _verdict(report: GapReport) -> str:
         and all(map(_has_rivals, lasting))
     ):
         return f"{_ONE_OF_SEVERAL[lasting[0].domain]} {_WHICH}"
-    of_flight = Domain.AIRFRAME in domains or (_flown(report) and report.verdict is GapVerdict.UNKNOWN)
+    nameless = report.verdict is GapVerdict.UNKNOWN and not any(f"on {s}" in report.unknown.shape for s in _SENSORS)
+    of_flight = Domain.AIRFRAME in domains or (_flown(report) and nameless)
     return _FLIGHTS.get(report.verdict, _VERDICTS[report.verdict]) if of_flight else _VERDICTS[report.verdict]
 
 

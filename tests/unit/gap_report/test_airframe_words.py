@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from mavcal.calib.airframe.answer import AirframePart, Commands, Domain, Quantity, Rollout, RolloutStep
-from mavcal.calib.gap.schema import RE_ESTIMATED, GapVerdict, MultipleTesting, NotTestable, Rival
+from mavcal.calib.gap.schema import RE_ESTIMATED, GapVerdict, MultipleTesting, NotTestable, Rival, Unknown
 from mavcal.calib.gap_report.airframe_effects import claims, known, phrase, plain_name, rival_phrase, wind_from
 from mavcal.calib.gap_report.airframe_words import (
     closed_words,
@@ -262,6 +262,14 @@ def test_effects_stand_by_domain_the_airframe_first_and_the_day_last():
 def test_the_verdict_is_of_what_was_compared(effects, verdict, said):
     compared = AirframePart(probabilities={"rotor_drag": 0.5})
     assert said in verdict_sentence(replace(report(*effects), verdict=verdict, airframe=compared))
+
+
+def test_what_has_no_name_is_of_the_sensors_where_it_is_on_one() -> None:
+    """Halves of a real flight differ by what lay beside the compass on the ground: "the real flight differs"."""
+    nameless = Unknown(flag=True, share=0.7, shape="a difference on mag that no effect describes")
+    compared = AirframePart(probabilities={"rotor_drag": 0.5})
+    one = replace(report(), verdict=GapVerdict.UNKNOWN, airframe=compared, unknown=nameless)
+    assert verdict_sentence(one).startswith("The real sensors differ")
 
 
 def test_a_flight_alone_is_not_said_to_differ_from_a_simulated_one():
