@@ -35,7 +35,7 @@ _GLITCH_M: Final = 3.0
 """m by which a place may differ from the one before and the velocity. Source: receivers without correction wander by a
 metre a second at most."""
 _HOLE_S: Final = 1.5
-"""Seconds between places of the GPS from which on a log has a hole. Source: the slowest receivers send every second."""
+"""Longest step between places of the GPS, s, that is no hole of the log. Source: slow receivers send every second."""
 _FEWEST: Final = 10
 _OVER_S: Final = 0.4
 _AT_ONCE_S: Final = 0.2
