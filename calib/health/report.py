@@ -36,7 +36,7 @@ from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor
 
 _READING_SD: Final = 0.5
-"""degC: how a driver reads the chip."""
+"""Standard deviation of a thermometer reading, degC."""
 _WARM: Final = "Calibrate over these temperatures: log a warm-up at rest from cold, then mavcal fit thermal-poly."
 
 
@@ -47,9 +47,9 @@ class HealthReport:
     sensors: tuple[SensorHealth, ...]
     lacks: tuple[str, ...]
     shaking: tuple[JudgedItem, ...] = ()
-    """Vibration and clipping as the sanity of a flight has them as well."""
+    """Vibration and clipping, as in the flight checks."""
     silent: frozenset[Key] = frozenset()
-    """Sensors without a single reading that means anything, by sensor and instance."""
+    """Sensors without any valid reading, by sensor and instance."""
 
     @property
     def verdict(self) -> HealthVerdict:
@@ -68,7 +68,7 @@ class HealthReport:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The summary, one for each verdict."""
+        """The sentences of the summary, one for each verdict."""
         if not self.sensors:
             return ("The log has no accelerometer, gyroscope or compass.",)
         parts = []
