@@ -89,11 +89,11 @@ class Leaving:
     """When a bias leaves its limit; None: not within ten years from the last measurement."""
 
     earliest: float | None
-    """Start of the 90 % interval, s since 1970."""
+    """With 90 % it leaves between here and `latest`, s since 1970."""
     middle: float | None
-    """Median, s since 1970."""
+    """As likely before as after, s since 1970."""
     latest: float | None
-    """End of the 90 % interval, s since 1970."""
+    """End of that interval, s since 1970."""
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,10 @@ class StatedMounting:
     instance: int
     """Which compass, from 0."""
     stated: int
-    """Rotation number in the vehicle's parameters."""
+    """What the vehicle is told now."""
     stated_text: str
     chosen: int | None
-    """Rotation number that the plan uses instead; None: as found."""
+    """What the plan takes instead; None: as it was found."""
 
 
 def mountings_of(
