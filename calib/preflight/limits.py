@@ -1,6 +1,6 @@
 """Limits of the checks, each with its source (the firmwares' own: FLIGHT_CONTROLLERS 4.3, 4.4).
 
-They are narrower than what a firmware arms with: a vehicle that just arms is not yet one that flies well.
+They are tighter than the firmwares' limits of arming: a vehicle that just arms does not yet fly well.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Limit:
-    """The most that a value may be, and why."""
+    """Upper limit of a value, and its reason."""
 
     value: float
     unit: str
@@ -52,7 +52,7 @@ ALL: Final = {
     "vibration": VIBRATION,
     "vibration, clips": CLIPPING,
 }
-"""By check; a check that is not here has no number for a limit."""
+"""Limits by check; other checks have no numeric limit."""
 
 # What limits a number besides the noise of the capture: one standard deviation each.
 EARTH_RATE_DEG_S: Final = 15.041 / 3600.0
@@ -65,6 +65,6 @@ STRONGEST_FIELD, WEAKEST_FIELD = 67.0, 22.0
 """Strength of the Earth's field at the ground, uT, where the place is not known."""
 MOVING_RATE_DEG_S: Final = 0.5
 MOVING_FORCE: Final = 0.15
-"""Change (m/s2) of the mean over half a second, in all units alike, from which on the vehicle is not at rest."""
+"""Change of the half-second mean, m/s2, common to all units, above which the vehicle is not at rest."""
 FULL_CURRENT_A: Final = 30.0
 """Current at which a compensation per ampere is compared with the field: a small copter's climb."""

@@ -16,15 +16,15 @@ PARAMETERS = {
     "ardupilot": ("ARMING_CHECK", "ARMING_SKIPCHK", "COMPASS_ENABLE"),
     "px4": ("COM_ARM_MAG_STR", "COM_ARM_MAG_ANG", "SYS_HAS_MAG"),
 }
-"""What :func:`arming_checks` looks at, by autopilot."""
+"""Parameters that :func:`arming_checks` uses, by autopilot."""
 LOOKED_AT = {
     "ardupilot": ("COMPASS_AUTODEC", "COMPASS_DEC", "AHRS_TRIM_X", "AHRS_TRIM_Y"),
     "px4": ("EKF2_DECL_TYPE", "EKF2_MAG_DECL"),
 }
-"""What other checks look at and no calibration names, by autopilot."""
+"""Parameters that other checks use and no calibration contains, by autopilot."""
 _LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
 _ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
-"""What a firmware complains of when a sensor makes its estimator wrong."""
+"""Words in a firmware's complaints if a sensor makes its estimator wrong."""
 AGREES_S = 11.0
 """ArduPilot arms once its IMUs have agreed for 10 s (``AP_Arming::ins_accels_consistent``, ``ins_gyros_consistent``).
 One second more, because it checks once a second."""
@@ -41,11 +41,11 @@ _WORDS = {
     CheckId.ONBOARD_CALIBRATION: ("calibration running", "calibrating", "calibration in progress"),
 }
 _GENERAL = (CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE)
-"""Checks whose failure explains what a vehicle says of any sensor."""
+"""Checks whose failure explains a vehicle's complaint about any sensor."""
 
 
 def vibration(shaking: Shaking | None) -> Check:
-    """Level now, and clips since the start."""
+    """Check of the present vibration level, and of the clips since the start."""
     if shaking is None:
         return unknown(CheckId.VIBRATION, "The vehicle does not say how it vibrates (VIBRATION).")
     level, clips = limits.VIBRATION, limits.CLIPPING
@@ -60,7 +60,7 @@ def vibration(shaking: Shaking | None) -> Check:
 
 
 def onboard_calibration(view: OwnView) -> Check:
-    """A running calibration streams uncorrected values and refuses arming."""
+    """Check for a running calibration, which streams uncorrected values and refuses arming."""
     of = CheckId.ONBOARD_CALIBRATION
     if view.calibrating is None:
         return unknown(of, "The vehicle did not say whether it calibrates by itself.")
@@ -72,9 +72,9 @@ def onboard_calibration(view: OwnView) -> Check:
 
 
 def arming_checks(autopilot: str, parameters: Mapping[str, Value], *, complete: bool = True) -> Check:
-    """Whether a parameter switches the vehicle's checks off: disabled is not pass.
+    """Check for parameters that disable the vehicle's own checks, which is not a pass.
 
-    `complete`: every parameter was read, so that one that is not there is one that the vehicle does not have.
+    `complete`: every parameter was read, so that a missing one does not exist.
     """
     of = CheckId.ARMING_CHECKS
     known = [name for name in PARAMETERS.get(autopilot, ()) if name in parameters]
@@ -111,7 +111,10 @@ def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
 
 
 def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value], failed: Sequence[CheckId]) -> Check:
-    """Its own verdict, in its own words. `failed` are our checks that failed: what follows from them is not counted."""
+    """Check of the vehicle's own verdict, in its own words.
+
+    `failed` are our failed checks, whose consequences do not count.
+    """
     of, heard = CheckId.VEHICLE_PREARM, (*view.texts, *_bits(view))
     if view.texts or view.ready is False:
         own = "; ".join(f"'{text}'" for text in view.texts) or "it says that it is not ready, and not why"
@@ -133,7 +136,7 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
 
 
 def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
-    """Whether waiting may help: ArduPilot calls its IMUs inconsistent, and no check of ours explains that."""
+    """Whether waiting may help: ArduPilot reports inconsistent IMUs, and none of our checks explains that."""
     disagrees = any(words in text.lower() for text in texts for words in _AGREEING)
     return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and disagrees
 
@@ -153,7 +156,7 @@ def _nothing_checked(parameters: Mapping[str, Value]) -> bool:
 
 
 def _explained(text: str, failed: Sequence[CheckId]) -> bool:
-    """Whether a check of ours that failed is about what this text complains of."""
+    """Whether one of our failed checks explains the complaint in this text."""
     lower = text.lower()
     of_sensors = any(word in lower for words in _WORDS.values() for word in words)
     return any((of in _GENERAL and of_sensors) or any(word in lower for word in _WORDS.get(of, ())) for of in failed)

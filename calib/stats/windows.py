@@ -13,7 +13,7 @@ _SPIKE = 4.0  # times the scatter of its neighbours
 
 
 class Windows(NamedTuple):
-    """Statistics of a sensor over M windows; n is 0 where a quarter of the window or more at an end has no sample."""
+    """Statistics of a sensor over M windows; n is 0 if a quarter of the window or more has no sample at either end."""
 
     n: NDArray[np.intp]
     mean: Array  # (M, 3)
@@ -62,10 +62,10 @@ def row_of(windows: Windows | None, k: int) -> Windows | None:
 
 
 def without_spikes(values: Array) -> NDArray[np.bool_]:
-    """Mask (N,) of `values` (N, k): False at a lone spike, far off both neighbours, which agree.
+    """Mask (N,) of `values` (N, k): False at a lone spike, far from both neighbours, which agree.
 
-    Far means four times what the samples around change by and thirty times the usual change; a movement lasts longer
-    than one sample. Two rounds, so that spikes do not hide each other.
+    Far means four times the changes around it and thirty times the usual change; a movement lasts longer than one
+    sample. Two rounds prevent spikes from hiding each other.
     """
     keep = np.ones(len(values), dtype=np.bool_)
     for _ in range(2):
