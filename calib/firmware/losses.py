@@ -94,7 +94,7 @@ def largest_error(stored: Array, fitted: Array, magnitude: float) -> float:
 def largest_sd(parts: Parts, stored: Array) -> float:
     """Standard deviation of :func:`largest_error` for scales `stored` (3,) and a true vector of length 1.
 
-    A scale that is stored as it was fitted is not left out, and adds nothing.
+    A scale that is stored as fitted is not lost and adds nothing.
 
     To first order the error is the largest eigenvalue of ``S - D``, whose derivative is ``v v^T``.
     """

@@ -268,9 +268,9 @@ def _linearised(state: _State, field: Array, down: Array, noise: AlignmentNoise)
 
 
 def _estimated(linear: _Linear, least: AlignmentNoise) -> AlignmentNoise:
-    """Noise of the field from the first condition, which the vertical has no part in; the rest of the second is its.
+    """Noise of the field, from the first condition alone, and of the vertical, from the rest of the second.
 
-    Nine of the unknowns are seen by the first condition, four by the second alone.
+    The first condition determines nine of the unknowns, the second alone four.
     """
     first, both, second = linear.products.T
     of_field = float((linear.misclosure[:, 0] ** 2 / first).sum()) / max(len(first) - 9, 1)

@@ -97,7 +97,7 @@ class _Counted:
         return cls(distinct[:, 0] - distinct[:, 1], distinct[:, 0] + distinct[:, 1], worth, places)
 
     def posteriors(self, noises: Array) -> tuple[Array, Array, Array]:
-        """For each of `noises` (S,): logarithm of the likelihood over all means, and mean and variance of the mean."""
+        """For each of `noises` (S,): log-likelihood integrated over the mean, posterior mean and its variance."""
         likelihood = np.zeros((len(noises), len(self.places)))
         for low, high, worth in zip(self.lower, self.upper, self.worth, strict=True):
             a = (low - self.places) / noises[:, None]

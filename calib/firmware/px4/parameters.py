@@ -1,4 +1,4 @@
-"""How PX4 corrects its sensors: the one place of its formulas and of its thresholds (FLIGHT_CONTROLLERS 1.4, 10).
+"""PX4's sensor corrections: the only place with its formulas and thresholds (FLIGHT_CONTROLLERS 1.4, 10).
 
 =============  ============================================================
 accelerometer  ``b = L R [(a - TC(T) - OFF) o SCALE]``
@@ -70,7 +70,7 @@ _ROWS: Final = {"ACC": Sensor.ACCEL, "GYRO": Sensor.GYRO, "MAG": Sensor.MAG}
 
 @dataclass(frozen=True)
 class Thresholds:
-    """A new vector replaces the one in memory only if it differs by more than this in norm (parameter units)."""
+    """Least norm of the difference by which a new vector replaces the one in memory (parameter units)."""
 
     offset: float
     scale: float = 0.01
