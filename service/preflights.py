@@ -44,20 +44,20 @@ from mavcal.service.vehicle.rate_ledger import RateUser
 History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 """The verified calibrations of a vehicle, oldest first."""
 DEADLINE_S = 8.5
-"""From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
+"""Time from the start to the last sample, s; the rest of ten seconds restores the streams and computes."""
 LONGEST_S = 26.0
-"""From the start to the last sample on a link that brings them slowly; a client waits for thirty seconds in all."""
+"""Time from the start to the last sample on a slow link, s; a client waits for thirty seconds in all."""
 STILL_S = 15.0
-"""From the start to the last sample where a compass reads one value all the time. The quietest part known has 15 nT of
+"""Time from the start to the last sample if a compass reads a constant value, s. The quietest part known has 15 nT of
 noise (RM3100, datasheet). Read 10 times a second, it shows a step of 100 nT within 6 s in 97 of 100 simulated cases,
 within 13 s in 99."""
 LOOK_S = 0.5
 """Period of the count of samples, s."""
 AGAIN = 8
-"""Looks after which the streams are asked for again."""
+"""Number of looks after which the streams are requested again."""
 SILENT_ASKS = 6
-"""How often, LOOK_S apart, streams are asked for again where a sensor that is announced sends nothing at all. On a link
-that loses every third message both ways, all nine requests are lost once in 50 000 times."""
+"""Number of repeated requests, LOOK_S apart, if an announced sensor sends nothing at all. On a link that loses every
+third message both ways, all nine requests are lost once in 50 000 times."""
 FIRST_S = 3.5
 """Time for parameters and present rates before the streams begin, s; a rate not heard counts as the default."""
 DEMANDS, DEMAND_S = 3, 0.3

@@ -1,8 +1,7 @@
 """Campaigns: the same preflight, calibration, fit or diagnosis for many vehicles or logs, as one job.
 
-Items wait for a place in their queue: vehicles in one, processor work in another, and whoever waits for a person in a
-third, where nothing else is held. No item ends a campaign. One whose service was stopped goes on with the items that
-have not ended.
+Items wait in queues: vehicles in one, processor work in another, items that need a person in a third, where they hold
+no place. No item ends a campaign. A campaign whose service was stopped continues with the items that have not ended.
 """
 
 from __future__ import annotations

@@ -27,13 +27,13 @@ T = TypeVar("T")
 
 COMMAND = "command line"
 OPERATOR = "operator"
-"""Who asks, in what is kept of a write; a service that runs elsewhere keeps the name of the key."""
+"""Name of the operator in the record of a write; a remote service records the name of the key."""
 ANSWER_S = 600.0
-"""How long an answer may take: a preflight that first calibrates takes minutes."""
+"""Longest wait for an answer, s: a preflight that first calibrates takes minutes."""
 CLEANUP_S = 30.0
 """How long the vehicle may take to confirm its old message rates, and to be looked at after a write."""
 HURRY_S = 5.0
-"""The same for a run that was told to stop."""
+"""The same limit for a run that was told to stop."""
 _LOOK_S = 0.1
 
 

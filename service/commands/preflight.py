@@ -26,7 +26,8 @@ FIXABLE = ("gyro", "level")
 """Those of ``service.fixing``, stated here so that help does without it (a test compares them)."""
 
 STILL_LOOKING_S = (9.5, 19.0)
-"""A healthy vehicle on a good link is answered before the first of these; no command is silent for longer than 10 s."""
+"""Times at which a running preflight says so, s. A healthy vehicle on a good link is done before the first; no command
+is silent for longer than 10 s."""
 
 
 @click.command()
@@ -113,7 +114,7 @@ async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen
 
 @contextmanager
 def _said_meanwhile(screen: Screen) -> Iterator[None]:
-    """Say every few seconds that the preflight goes on."""
+    """Report every few seconds that the preflight goes on."""
     loop = asyncio.get_running_loop()
     text = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"
     reminders = [loop.call_later(after, screen.line, text) for after in STILL_LOOKING_S]
@@ -165,7 +166,7 @@ def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace =
 
 
 def _number(check: CheckModel) -> str:
-    """Value, uncertainty and limit of a check that passes; the reasons of the others say them."""
+    """Value, uncertainty and limit of a passed check; the reasons of other checks state them."""
     if check.value is None or not check.limit or check.verdict.value != "pass":
         return ""
     sd = "" if not check.sd else f" ± {check.sd:.1g}"

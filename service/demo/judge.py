@@ -24,8 +24,8 @@ SYMMETRIC = ("matrix_xx", "matrix_xy", "matrix_xz", "matrix_yy", "matrix_yz", "m
 LARGEST_Z = 4.5
 SMALLEST_P = 1e-4
 TOO_LARGE = 2.0
-"""Stated over actual errors, rms. A part of every sd is for what this vehicle may not have: a field that moves within a
-reading, coarse steps, a bias that wanders."""
+"""Largest ratio of stated to actual errors, rms. The stated ones include effects that this vehicle may lack: a field
+that changes within a reading, coarse steps, a drifting bias."""
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ class Leases:
         return check
 
     def _doubt(self, subject: str, token: int) -> None:
-        """What the database does not confirm does not hold here either, until it is renewed."""
+        """Treat a lease that the database does not confirm as lost until it is renewed."""
         if self._held.get(subject, (0, 0.0))[0] == token:
             self._held[subject] = (token, 0.0)
 

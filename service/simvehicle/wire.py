@@ -41,10 +41,10 @@ class Received:
 
 
 class Signer:
-    """The key of a vehicle, once it has one: signs what leaves, and believes what is signed with it and newer.
+    """Signs outgoing frames with the vehicle's key, if it has one, and accepts newer frames signed with it.
 
-    mavlink.io, "Message signing": 13 bytes behind the checksum, link id, 48 bits of 10 us since 2015, and the first 48
-    bits of the SHA-256 of key, frame, link id and time.
+    Format (mavlink.io, "Message signing"): 13 bytes follow the checksum. They are the link id, 48 bits of 10 us since
+    2015, and the first 48 bits of the SHA-256 of key, frame, link id and time.
     """
 
     def __init__(self, key: bytes = b"") -> None:

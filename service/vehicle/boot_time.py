@@ -16,9 +16,9 @@ _BACK_COUNT = 3
 """Older stamps in a row that mean a reboot; fewer are late messages."""
 _KEPT = 8
 _APART_S = 0.2
-"""Stamps that are kept for comparison lie so far apart at least."""
+"""Least spacing of the time stamps kept for comparison, s."""
 _LEAST_SPAN_S = 0.5
-"""Over a shorter time nothing is said of how fast a clock runs: a simulated vehicle's may run faster than ours."""
+"""Shortest time over which the speed of a clock is judged, s; a simulated vehicle's may run faster than ours."""
 _COMPARED = 3
 _FAR_S = 5.0
 

@@ -179,7 +179,7 @@ def _as_chosen(
 def _small_rotation(
     draft: Draft, about: Subject, turn: MountingRotation, askew: float, follows: str
 ) -> MountingRotation | None:
-    """A turn so small that the stated mounting may stay: it is offered, and made if the operator confirms it."""
+    """The correction of a small mounting error, which the operator must confirm; None if the stated mounting stays."""
     if follows:
         draft.warn(
             f"{about} is mounted {askew:.0f} deg askew (turned by {turn.name}) and follows {follows}: it has no angles "

@@ -91,7 +91,7 @@ class Corrections:
         return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
 
     def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[StillMean]) -> Array:
-        """Stream of `raw` (K, 3) under the conditions of `readings`."""
+        """Streamed readings (K, 3) of `raw` (K, 3) if `refused` did not take effect."""
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
 

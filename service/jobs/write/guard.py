@@ -22,9 +22,9 @@ from mavcal.service.vehicle.job_vehicle import Condition, JobVehicle
 T = TypeVar("T")
 HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
 _TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
-"""Messages that can say at once that a write has to stop."""
+"""Messages that can show at once that a write has to stop."""
 STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown, LeaseLost)
-"""Errors after which nothing more may be sent, be it to take something back."""
+"""Errors after which nothing more may be sent, not even to undo a change."""
 RESTARTED = "the vehicle restarted by itself"
 
 
@@ -66,7 +66,7 @@ class WriteGuard:
         return self._meanwhile(now) or "; ".join(now.obstacles) or None
 
     def _elsewhere(self, now: Condition) -> bool:
-        """Whether it speaks from another address on the same link; another link is another way to the same unit."""
+        """Whether it sends from another address on the same link; another link is merely another way to the unit."""
         return self._peers.setdefault(now.way, now.peer) != now.peer
 
     def _meanwhile(self, now: Condition) -> str | None:

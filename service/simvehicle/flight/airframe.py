@@ -140,7 +140,7 @@ class Airframe:
             self._rest()
 
     def _ground_effect(self) -> float:
-        """Thrust at the present height over that far from the ground."""
+        """Ratio of the thrust at the present height to the thrust far from the ground."""
         near = self._frame.ground_radius / (4.0 * (LEGS_M - self.place[2]))
         return 1.0 / (1.0 - near * near)
 
