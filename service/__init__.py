@@ -1,4 +1,4 @@
-"""Everything of mavcal that needs a clock or a socket."""
+"""The part of mavcal that needs a clock or sockets."""
 
 import os
 

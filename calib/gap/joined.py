@@ -222,11 +222,11 @@ def _without_flight(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> U
 def _shared(effects: Sequence[EffectEstimate], cause: str) -> Iterator[str]:
     """One warning for all effects that are not a unit's own."""
     if names := ", ".join(dict.fromkeys(effect.id for effect in effects)):
-        yield f"not a sensor's: {names}; the units feel it alike, and not at rest: {cause}"
+        yield f"not a sensor's: {names}; all units show it alike in flight, and none at rest: {cause}"
 
 
 def _refuted(effect: EffectEstimate) -> str:
-    return f"{effect.id} of {_units(effect)} is no gap: gravity at rest does not read as it would with it"
+    return f"{effect.id} of {_units(effect)} is no gap: the readings of gravity at rest contradict it"
 
 
 def _units(effect: EffectEstimate) -> str:

@@ -1,4 +1,4 @@
-"""Message rates as users see them: requested, owed until they are returned, and the ledger of any vehicle.
+"""Message rates for their users: requests, rates owed until returned, and the ledger of any vehicle.
 
 Both firmwares keep one set of rates for a link, so only one user has them at a time. A job goes before a preflight, and
 either before those who watch. Each stores the previous intervals (:class:`Owed`) until they are returned.

@@ -221,7 +221,7 @@ class WatchOwed:
         await self._keep({**before, **self._intervals})
 
     async def hand_over(self, message_ids: Collection[int]) -> Mapping[int, int]:
-        """Those of these messages that are owed; somebody else owes them from now on. Raises DiskFull."""
+        """The owed intervals of these messages, which the caller owes from now on. Raises DiskFull."""
         theirs = {
             message_id: self._intervals[message_id] for message_id in message_ids if message_id in self._intervals
         }
@@ -263,7 +263,7 @@ class Attendant:
         self._requesting: asyncio.Task[None] | None = None
 
     async def run(self, clock: Callable[[], float]) -> None:
-        """Request while somebody watches and nothing stands against it, then return the rates and end."""
+        """Request rates while somebody watches and nothing prevents it, then return them and end."""
         while True:
             rate, pause = self._ledgers.of(self.vehicle_id).wanted_hz(clock()), self._times.look_s
             against = self._obstacle()
@@ -318,10 +318,7 @@ class Attendant:
         return now.conflict or self._claim(vehicle.id)
 
     def _must_end(self, rate: float) -> bool:
-        """Whether nobody watches any more, or a flight needs the link.
-
-        Not while whoever had the rates released still has the vehicle.
-        """
+        """Whether nobody watches any more, or a flight needs the link; False while another user has the vehicle."""
         vehicle = self._vehicle()
         if vehicle is None or (self._released and self._claim(vehicle.id) is not None):
             return False
@@ -332,7 +329,7 @@ class Attendant:
         return vehicle is not None and self._requested_hz > 0 and vehicle.condition().reboots > self._boots
 
     async def _request(self, rate: float) -> None:
-        """Request rates; whoever needs the vehicle meanwhile cancels this, and what was set is then put back."""
+        """Request rates; a new user of the vehicle cancels this, and the rates already set are then restored."""
         self._requesting = asyncio.create_task(self._set(rate), name=f"live rates requested of {self.vehicle_id}")
         try:
             await asyncio.wait({self._requesting})

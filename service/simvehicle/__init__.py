@@ -51,7 +51,7 @@ def flight_options() -> list[tuple[str, str]]:
 
 
 def fly(arguments: Sequence[str]) -> int:
-    """Be a simulated vehicle that flies until it is told to stop; the exit code."""
+    """Run a simulated vehicle that flies until it is told to stop; returns the exit code."""
     from mavcal.service.simvehicle.flight.run import main
 
     return main(arguments)

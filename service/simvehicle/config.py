@@ -18,7 +18,7 @@ MAX_MAGS = 3
 
 
 class SimAutopilot(StrEnum):
-    """The firmware that is imitated."""
+    """The simulated firmware."""
 
     ARDUPILOT = "ardupilot"
     PX4 = "px4"

@@ -1,4 +1,4 @@
-"""The calibration that a vehicle starts with: near the truth, with no parameter at its neutral value.
+"""Initial calibration of a vehicle: near the truth, with no parameter at its neutral value.
 
 A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
 Such a new vehicle is therefore the exception (``"calibration": "none"``).
@@ -31,7 +31,7 @@ MGAUSS_PER_UT, UT_PER_GAUSS = 10.0, 100.0
 
 @dataclass(frozen=True)
 class _Wear:
-    """Share of the errors above that the calibration has: 1 for an earlier one, 0 for a fresh one."""
+    """Share of the errors above in the calibration: 1 for an earlier one, 0 for a fresh one."""
 
     rng: np.random.Generator
     amount: float

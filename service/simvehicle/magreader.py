@@ -50,7 +50,7 @@ class MagReader:
         return self._phase + self._index * self._period + late
 
     def advance(self, until: float) -> None:
-        """Take all samples up to `until`: the motion must still be the one that was in force."""
+        """Take all samples up to `until`; the motion must not have changed in between."""
         last = int(np.floor(until / self._step + 1e-9))
         if last > self._taken:
             q, _ = self._world.motion.evaluate(np.arange(self._taken + 1, last + 1) * self._step)

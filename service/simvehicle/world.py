@@ -13,7 +13,7 @@ from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_ma
 from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
 
 HORIZON_S = 14400
-"""From here on the random walk of a bias stays where it is."""
+"""Time from which the random walk of a bias is constant, s."""
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ from mavcal.service.workers.queue import QUEUE, TASK, app_of, moved
 log = structlog.get_logger(__name__)
 MOST_STARTS = 3
 WATCH_S = 1.0
-"""How often it is asked whether somebody waits still."""
+"""Period of the check whether the computation is still wanted, s."""
 SWEEP_S = 3600.0
-"""Orders that nobody waited for in so long are forgotten."""
+"""Time after which unwanted orders are deleted, s."""
 BEATS_A_LEASE = 4
 
 

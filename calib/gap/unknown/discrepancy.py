@@ -21,7 +21,7 @@ from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, has_modula
 
 Array = NDArray[np.float64]
 
-BURSTS, WAVES = "noise that is louder at times", "a wave that is no sine, of"
+BURSTS, WAVES = "noise that is louder at times", "a non-sinusoidal wave of"
 """Descriptions of winning bets."""
 _CHANCE = 2e-3
 """False-alarm probability of all bets together on white noise. Source: decision 37 derives the limits from it. The
