@@ -23,8 +23,8 @@ from mavcal.calib.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 WEAKEST_UT, STRONGEST_UT = 22.0, 67.0
-"""Least and largest strength of the Earth's field at its surface: South America, and between Australia and Antarctica
-(WMM2025 and IGRF-14, charts of the total intensity)."""
+"""Least and largest strength of the Earth's field at its surface. They occur in South America, and between Australia
+and Antarctica (WMM2025 and IGRF-14, charts of the total intensity)."""
 
 LIFE_SPAN = 5.0
 """Years that one set of World Magnetic Model coefficients is valid for."""

@@ -3,8 +3,8 @@
 A link that brings too few samples in that time is waited for, for half a minute at most: that is no sensor's fault.
 So is an ArduPilot that has just started, until it has seen its IMUs agree for 10 s.
 
-Nothing is written to the vehicle. While it is looked at no job may begin, and while a job runs it is not looked at:
-both ask for message rates and put them back.
+Nothing is written to the vehicle. No job may begin during a preflight, and no preflight during a job: both request
+message rates and restore them.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 ``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``, as published. The noisy readings are the
 regressors, so single samples shrink the matrix by ``1 + 3 s^2/g^2``; face means do not. The forward form ``U = t M^T +
-b`` has no such bias: half the difference of two faces is a column of M, as with six rings. Tilt of the fixture
+b`` has no such bias. Half the difference of two faces is a column of M, as with six rings. Tilt of the fixture
 dominates everything (0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
 """
 
@@ -184,7 +184,7 @@ def _native(model: TriadModel, rows: _Rows, convention: Convention, form: Form) 
 
 
 def _shrinks(rows: _Rows, residual: Array, dof: int, sd: float) -> list[str]:
-    """A warning of errors in the regressors: ``1 + 3 s^2/g^2`` for single readings of noise s (METHODS S4)."""
+    """A warning if noisy regressors shrink the matrix, by ``3 s^2/g^2`` for single readings of noise s (METHODS S4)."""
     if all(face.covariance is not None for face in rows.faces) or len(rows.faces) <= _FACES:
         return []
     shrink = 3.0 * float((residual**2).sum()) / dof / rows.g**2

@@ -1,8 +1,8 @@
 """Distinguishes a simulator from a real vehicle by properties that only a simulator's firmware has.
 
 ArduPilot has ``SIM_SPEEDUP`` only where it was built to simulate (``AP_SIM_ENABLED``: ArduCopter/Parameters.cpp,
-boards.py). Such a build may also run on a flight controller and drive its outputs (``SIM_OH_MASK``); that one states
-the numbers of its board in AUTOPILOT_VERSION, where a program has zeros (GCS_Common.cpp).
+boards.py). Such a build may also run on a flight controller and drive its outputs (``SIM_OH_MASK``). It then states the
+numbers of its board in AUTOPILOT_VERSION, where a program has zeros (GCS_Common.cpp).
 
 PX4's simulator gives the UUID "SIMULATIONID0000" (boards/px4/sitl). ``SIH_*`` and ``SYS_HITL`` prove nothing: flight
 controllers have both, and the motors may be connected.

@@ -139,8 +139,8 @@ def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id:
 def px4_calibration_names(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Mapping[Role, str]:
     """Names by role of the parameters that correct `sensor` `instance` of a PX4, thermal row included.
 
-    The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID``
-    says which); none for a sensor whose id is not known.
+    The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID`` says
+    which). A sensor without a known id has none.
     """
     _check_sensor(sensor)
     row = names.px4_names(sensor, px4_slot(parameters, sensor, instance))

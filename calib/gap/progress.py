@@ -93,7 +93,7 @@ class GapProgress:
 
 
 def _ignore(_standing: GapProgress) -> None:
-    """No listener."""
+    """Ignore the progress, for callers without a listener."""
 
 
 @dataclass(eq=False)

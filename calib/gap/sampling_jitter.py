@@ -1,8 +1,8 @@
 """Tones of an inertial sensor that are sampling jitter, not vibration.
 
 A unit may be sampled at a rate that differs from its log rate. Its delay then varies with the difference of both rates.
-Its error is the delay multiplied by the rate of change: lines that grow, shrink and change sign with the movement, in a
-simulator as on a vehicle. ArduPilot's simulated second unit has them at multiples of 40 Hz.
+Its error is the delay multiplied by the rate of change. The lines therefore grow, shrink and change sign with the
+movement, in a simulator as on a vehicle. ArduPilot's simulated second unit has them at multiples of 40 Hz.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class EffectAgreement:
     """An effect of one diagnosis and its counterpart in another.
 
     `other` is None where the other diagnosis has none on the same instances. `holds`: no parameter differs by more than
-    two standard errors; for several parameters the limit is higher, since the largest of several differs more by
+    two standard errors. For several parameters the limit is higher, since the largest of several differs more by
     chance.
     """
 

@@ -25,7 +25,7 @@ _COMMANDS = {
     "controls": "rebuilt from the logged controls",
     "table": "the columns motor_1 and on",
 }
-"""By source (:class:`calib.airframe.answer.Commands`)."""
+"""Words for each source of the commands (:class:`calib.airframe.answer.Commands`)."""
 
 
 def effects_of(report: GapReport, *domains: Domain) -> tuple[EffectEstimate, ...]:

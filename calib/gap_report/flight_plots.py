@@ -77,7 +77,7 @@ def binned(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def rollout_plots(rollouts: Sequence[Rollout]) -> list[Markup]:
-    """A waterfall for each horizon; none of those that are not finite."""
+    """A waterfall chart for each horizon with a finite, positive error."""
     return [rollout_plot(one) for one in rollouts if math.isfinite(one.before) and one.before > 0.0]
 
 

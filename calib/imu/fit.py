@@ -50,7 +50,7 @@ def fit_imu(
 ) -> tuple[FitResult, FitResult]:
     """Offset and matrix of an accelerometer and a gyroscope from still poses and the movements between them.
 
-    Both are fitted as one maximum-likelihood problem. The means of the poses lie on the accelerometer's ellipsoid; the
+    Both are fitted as one maximum-likelihood problem. The means of the poses lie on the accelerometer's ellipsoid. The
     gyroscope carries each direction of gravity to the next one; its mean at rest is its offset. Both sensors come out
     in one frame, that of the accelerometer; no pose shows how that is mounted in the vehicle.
 

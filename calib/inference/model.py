@@ -1,7 +1,7 @@
 """What the search needs: blocks that a model may contain, and the posterior of any set of them.
 
-Nothing here knows what a block means. A :class:`Posterior` is the marginal likelihood of the data under one set of
-blocks, with every amplitude integrated out under its prior (Laplace where the model is not linear).
+Nothing here knows what a block means. A :class:`Posterior` has the marginal likelihood of the data under one set of
+blocks. Every amplitude is integrated out under its prior (Laplace where the model is not linear).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Evidence(Protocol):
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """Everything that may be in."""
+        """All blocks that a model may contain."""
 
     def posterior(self, model: Model) -> Posterior:
         """Posterior of the model with these blocks."""

@@ -89,7 +89,7 @@ class FlightEstimate:
     layout: Layout
     model: GyroModel
     noise: Array
-    """(N,), of a sample."""
+    """Noise of each sample (N,)."""
     inflation: float
 
     @property

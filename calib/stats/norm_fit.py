@@ -1,7 +1,7 @@
 """The equation ``|C (m - b)| = g`` on pose means: nine numbers, C symmetric, solved by Gauss and Newton.
 
-Everything here is in units of the poses' own radius, so that C is near the identity and gravity is one; the public
-fit is :func:`calib.accel.poses.fit_poses`.
+Everything here is in units of the poses' own radius, so that C is near the identity and gravity is one. The public fit
+is :func:`calib.accel.poses.fit_poses`.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ HOLD_S = 2.0
 SHORTER = (0.5, 0.25)
 """Fractions of the requested hold time that are tried to find poses held too briefly."""
 MANY_MORE = 2
-"""Factor by which the number of poses must then increase."""
+"""Least factor by which a shorter hold time must increase the number of poses."""
 
 
 def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:

@@ -1,10 +1,10 @@
 """Still spans of a recording, with the sensors' means.
 
-Every quarter of a window one window of each sensor is judged: its scatter about a straight line, the turn of gravity
-across it, its mean rate. Consecutive still windows make a span as long as their means stay together; half a window is
-taken off wherever motion borders on it (METHODS 3.3). Time is that of the samples, and a span does not depend on their
-division into chunks. A steady turn about the vertical keeps accelerometer and gyroscope constant, so it counts as still
-here; :func:`calib.gyro.steady_turn` distinguishes it from a bias.
+Windows begin every quarter of their length. For each, the scatter about a straight line, the turn of gravity across it
+and the mean rate are judged. Consecutive still windows make a span as long as their means stay together; half a window
+is taken off wherever motion borders on it (METHODS 3.3). Time is that of the samples, and a span does not depend on
+their division into chunks. A steady turn about the vertical keeps accelerometer and gyroscope constant, so it counts as
+still here; :func:`calib.gyro.steady_turn` distinguishes it from a bias.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class StillnessDetector:
         return tuple(ended)
 
     def _windows(self, begin: int, end: int) -> tuple[Still, ...]:
-        """Judge the windows of these numbers, from the samples in and next to them alone."""
+        """Still windows among those numbered `begin` to `end`, judged from the samples in and next to them."""
         assert self._origin is not None
         starts = np.asarray(self._origin + np.arange(begin, end) * self._hop, dtype=np.float64)
         statistics = {}
@@ -225,8 +225,8 @@ class StillnessDetector:
 def find_still(recording: Recording, *, instance: int = 0, limits: StillnessLimits = HELD) -> tuple[Still, ...]:
     """Every still span of `recording`, judged by the accelerometer and the gyroscope of `instance`.
 
-    One of the two is enough. Sensors in counts are judged by their quietest tenth of windows: a gyroscope about its
-    median reading, an accelerometer about the centre of its poses, which determines gravity.
+    One of the two is enough. Sensors in counts are judged by their quietest tenth of windows. A gyroscope is judged
+    about its median reading, an accelerometer about the centre of its poses, which determines gravity.
 
     Raises
     ------
@@ -267,9 +267,9 @@ def pose_means(
 ) -> tuple[PoseMean, ...]:
     """Mean of `accel` in every span of `stills` that holds at least eight of its samples.
 
-    With `gyro` (rad/s) the mean is freed of the shrink by tremor: where gravity swings by small angles ``theta`` of
-    covariance ``S``, ``E a = (1 - (tr S - S)/2) a``. The rate bias is separate for each span, since it changes with
-    temperature: the attitude drift is taken from the accelerometer.
+    With `gyro` (rad/s) the mean is corrected for tremor, which shortens it. If gravity swings by small angles ``theta``
+    of covariance ``S``, then ``E a = (1 - (tr S - S)/2) a``. The rate bias is separate for each span, since it changes
+    with temperature: the attitude drift is taken from the accelerometer.
     """
     poses = []
     for still in stills:

@@ -138,7 +138,7 @@ def _solved(
 ) -> AccelThermalSolution | str:
     """Solution in two rounds, or why there is none; the second round corrects means for drift within each pose.
 
-    The mean of a pose then stands for its mean powers of the temperature, and its scatter is noise alone.
+    The mean of a pose then belongs to its mean powers of the temperature, and its scatter is only noise.
     """
     within = within_poses(accel, x, stills, degree)
     level = accel
@@ -298,8 +298,8 @@ def _model(
 def _with_cross_scatter(problem: WarmProblem, solution: WarmSolution, crosses: list[int], cross_sd: float) -> Array:
     """Covariance with the scatter that cross terms of prior sd `cross_sd` leave in the others, held at zero.
 
-    With ``r = J1 x1 + J2 x2``, fitting x1 alone errs by ``-F11^-1 F12 x2``; ``|C d|`` also lengthens by c^2/2 for each
-    cross term c of an axis.
+    With ``r = J1 x1 + J2 x2``, fitting x1 alone errs by ``-F11^-1 F12 x2``. In addition, ``|C d|`` lengthens by c^2/2
+    for each cross term c of an axis.
     """
     rest = [i for i in range(len(solution.parameters)) if i not in crosses]
     H = solution.covariance[np.ix_(rest, rest)] @ solution.information[np.ix_(rest, crosses)]

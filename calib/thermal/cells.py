@@ -1,8 +1,8 @@
 """Samples of one sensor averaged over cells of time, in bounded memory.
 
-A cell holds the number of its samples, their mean time, mean and scatter; if bins are coarse relative to the noise,
-also the number of samples in each bin. When there are too many cells, neighbours are joined. A thermal drift is linear
-within a cell, so a fit loses nothing.
+A cell holds the number of its samples, their mean time, mean and scatter. If bins are coarse relative to the noise, it
+also holds the number of samples in each bin. When there are too many cells, neighbours are joined. A thermal drift is
+linear within a cell, so a fit loses nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Drift with temperature: a straight line (S2) and a polynomial, with errors valid under coloured noise.
 
-A still sensor is regressed on its own temperature in a scaled variable, by normal equations summed over blocks of time
-(conditioning and speed: METHODS S2). A slow wander of the sensor looks like drift; its size follows from the residuals
-(:func:`calib.stats.correlated.coloured_regression`) and is part of the sd.
+A still sensor is regressed on its own temperature in a scaled variable. The normal equations are summed over blocks of
+time (conditioning and speed: METHODS S2). A slow wander of the sensor looks like drift; its size follows from the
+residuals (:func:`calib.stats.correlated.coloured_regression`) and is part of the sd.
 """
 
 from __future__ import annotations

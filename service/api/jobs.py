@@ -1,6 +1,6 @@
 """Routes of jobs, and one event stream for the whole service: jobs, vehicles and links.
 
-A review is a plan in words and pictures, for the person who accepts it; what is unfinished was left on a vehicle by an
+A review is a plan in words and pictures, for the person who accepts it. Unfinished work was left on a vehicle by an
 interrupted run.
 """
 

@@ -87,7 +87,7 @@ BEGUN_BY = "campaign"
 
 
 def begun_by(campaign_id: str, item: Item) -> dict[str, Any]:
-    """What the context of a job has under :data:`BEGUN_BY` that was begun for this item."""
+    """Value of :data:`BEGUN_BY` in the context of a job begun for this item."""
     return {"id": campaign_id, "item": item.number}
 
 

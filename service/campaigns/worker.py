@@ -81,7 +81,7 @@ class _Worker:
         return Children(self._folder / "orders", most=MOST_CHILDREN)
 
     async def _stopped(self) -> None:
-        """End the children, and let whoever waits for one hear of it."""
+        """End the children, and give waiting callers time to receive the error."""
         await self._children.stop()
         others = asyncio.all_tasks() - {asyncio.current_task()}
         if others:

@@ -57,7 +57,7 @@ class Diagnose(Protocol):
 class ClosingPlan:
     """The loop to close: the real flight against the simulator of `command`.
 
-    `rounds` counts flights with a remedy, after the first one with the settings of `start`; `connect` is an endpoint in
+    `rounds` counts flights with a remedy, after the first one with the settings of `start`. `connect` is an endpoint in
     which ``{port}`` stands for the free port of a round.
     """
 

@@ -81,8 +81,8 @@ class Door:
     async def wait_for_cleanup(self, seconds: float = CLEANUP_S, *, written: str | None = None) -> None:
         """Wait until the old message rates are back, for a limited time; the next run returns what is left.
 
-        `written` is a job after whose write the vehicle is looked at: a service that runs elsewhere sees to the rates
-        itself, and is waited for until it has looked.
+        `written` is a job after whose write the vehicle is checked. A service elsewhere restores the rates itself, and
+        is awaited until that check is done.
         """
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

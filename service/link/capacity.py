@@ -109,8 +109,8 @@ def frame_bytes(message_id: int) -> int:
 def nominal_capacity(endpoint: Endpoint) -> float | None:
     """Bytes per second that a serial port can carry at its baud rate; None if unknown.
 
-    A flight controller's own USB port (``ttyACM``, ``by-id``) ignores the rate; a radio behind an adapter
-    (``ttyUSB``) does not, and may be slower still over the air: measure.
+    A flight controller's own USB port (``ttyACM``, ``by-id``) ignores the rate. A radio behind an adapter (``ttyUSB``)
+    does not, and may be even slower over the air, so it is measured.
     """
     if endpoint.kind is not EndpointKind.SERIAL or "ACM" in endpoint.path or "by-id" in endpoint.path:
         return None

@@ -1,7 +1,7 @@
 """Initial calibration of a vehicle: near the truth, with no parameter at its neutral value.
 
-A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
-Such a new vehicle is therefore the exception (``"calibration": "none"``).
+A vehicle with neutral parameters only would hide errors in undoing the calibration in force, and in judging changes of
+it. Such a new vehicle is therefore the exception (``"calibration": "none"``).
 """
 
 from __future__ import annotations

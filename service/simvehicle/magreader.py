@@ -14,8 +14,8 @@ class MagReader:
     """Raw magnetometer readings (µT, chip frame) of all instances, new once a period.
 
     A driver's timer takes samples, and a task of the main loop reads their mean since it was last there. The task has
-    no phase in common with the timer or the streams, and comes a loop late at times: one reading averages a sample more
-    than the next, and a message carries a reading that is as old as the two are apart.
+    no fixed phase to the timer or the streams, and is sometimes one loop late. One reading may therefore average a
+    sample more than the next. The age of the reading in a message depends on the phase.
 
     Args:
         world: what is measured.

@@ -1,7 +1,8 @@
 """The attitude and body rate of the vehicle as exact functions of vehicle time.
 
-A motion is one segment at a time, each in closed form, so that the gyroscope's truth is the exact derivative of the
-attitude: no integration error can hide in a calibration. The rate may jump between segments; the attitude never does.
+A motion is one segment at a time, each in closed form. The gyroscope's truth is then the exact derivative of the
+attitude, and no integration error can hide in a calibration. The rate may jump between segments; the attitude never
+does.
 """
 
 from __future__ import annotations
@@ -158,8 +159,8 @@ class Tumble:
     """Smooth tumbling through all directions: Euler angles z, x, z at steady incommensurate rates.
 
     With q = q₀ ⊗ Z(a) ⊗ X(b) ⊗ Z(c) the body rate is ċ·e₃ + Zᵀ(c)·ḃ·e₁ + Zᵀ(c)·Xᵀ(b)·ȧ·e₃. Its length stays within
-    about ±17 % of the rate of the moment. That rate swells and fades about the asked one by SURGE of it, as a hand's
-    does: what a window of 100 ms does to a compass depends on it.
+    about ±17 % of the rate of the moment. That rate varies about the requested one by SURGE of it, as a hand's does.
+    The effect of a 100 ms window on a compass depends on it.
     """
 
     PROPORTIONS = (0.2638, 0.7907, 0.5523)  # of ȧ, ḃ, ċ to the mean rate; squares add up to 1

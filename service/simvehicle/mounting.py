@@ -46,8 +46,8 @@ def numbered_mounting(number: int) -> Array:
 class CustomRotations:
     """ArduPilot's two rotations by angles (AP_CustomRotations.cpp).
 
-    One is made of its angles when it is first used, or at boot where they are switched on; from then on its angles
-    act at the next boot only. The first use switches them on.
+    Each is made from its angles when first used, or at boot if they are switched on. Later changes of its angles act at
+    the next boot only. The first use switches them on.
     """
 
     def __init__(self, table: ParameterTable) -> None:

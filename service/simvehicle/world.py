@@ -137,8 +137,8 @@ class VibrationState:
 
 
 WALK_PER_NOISE = 1.7e-3
-"""Random walk of a bias in a root second, over the white noise of a sample at 50 Hz: the two are equal in the Allan
-deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
+"""Random walk of a bias in a root second, relative to the white noise of a sample at 50 Hz. The two are equal in the
+Allan deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Interface of the store to a database: one writer, one reader, transactions, and our own errors.
 
-Statements are the same for every database. They hold to what SQLite and PostgreSQL share: ``?`` for a value, columns by
-name, ``ON CONFLICT``, ``RETURNING``; ``rowid`` is the order in which rows were put in. What differs is here.
+Statements are the same for every database. They use only what SQLite and PostgreSQL share: ``?`` for a value, columns
+by name, ``ON CONFLICT``, ``RETURNING``. The column ``rowid`` is the order of insertion. What differs is here.
 """
 
 from __future__ import annotations

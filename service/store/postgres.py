@@ -256,8 +256,8 @@ def _with_patience(url: str) -> str:
 def to_postgres(sql: str) -> str:
     """A migration as PostgreSQL reads it.
 
-    A table without a number of its own gets the column ``rowid`` that SQLite's tables have: some rows are listed in the
-    order in which they were put in.
+    A table without a number of its own gets the column ``rowid`` that SQLite's tables have, because some rows are
+    listed in their order of insertion.
     """
     sql = _TABLE.sub(_numbered, sql)
     for theirs, ours in WORDS:

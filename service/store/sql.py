@@ -1,8 +1,8 @@
 """The durable state, in statements that every database takes.
 
-Every method that changes something returns only when the change would survive a loss of power, except those that say
-otherwise: events, and what has become of a campaign's items. Methods may be called from any thread;
-from an event loop those that write go through :meth:`Store.do` or :meth:`Store.soon`, which keep their order.
+A method that changes something returns only when the change would survive a loss of power. Exceptions say so: events,
+and the outcomes of a campaign's items. Methods may be called from any thread; from an event loop those that write go
+through :meth:`Store.do` or :meth:`Store.soon`, which keep their order.
 """
 
 from __future__ import annotations

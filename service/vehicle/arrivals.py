@@ -61,8 +61,8 @@ class Meter:
     def queued(self) -> float:
         """Growth of the delay, s per s: above 0 a buffer on the way fills.
 
-        The youngest of the first third are compared with those of the last third: a process that is held up sees some
-        samples late, but never all of them.
+        The youngest samples of the first and the last third are compared: a process that is held up sees some samples
+        late, but never all.
         """
         span = self.last - self.first
         if span <= 0 or self.count < _FEWEST:

@@ -1,7 +1,7 @@
 """Streams: request them, measure them, and restore the earlier rates.
 
-An acknowledgement does not mean that a stream comes (PX4 accepts some and never sends them), nor at which rate
-(intervals are rounded): what counts is what is measured.
+An acknowledgement does not mean that a stream comes: PX4 accepts some and never sends them. Nor does it tell the rate,
+since intervals are rounded. Only the measured rate counts.
 """
 
 from __future__ import annotations
@@ -242,8 +242,8 @@ async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int], asks: int = 1)
 async def _late_s(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, asked_at: float) -> float:
     """How long answers wait behind the streams that were asked for at `asked_at`; 0: no longer than may be chance.
 
-    A large buffer takes half a minute to fill with the little that is asked for too much, and is never empty again:
-    every answer takes more than a second then. The growing delay shows it within a second.
+    A small overload takes half a minute to fill a large buffer, which is then never empty again. Every answer then
+    takes more than a second. The growing delay shows it within a second.
     """
     late: list[float] = []
     while len(late) < _ASKS:

@@ -1,7 +1,7 @@
 """A worker: takes computations out of the queue and has its own child processes do them, within their limits.
 
-It proves that it is alive by heartbeats of the queue. Computations of a worker that does not are given to another one,
-at most three times: a computation that ends workers is not worth a fourth.
+It proves that it is alive by heartbeats of the queue. Without heartbeats, its computations are given to another worker,
+at most three times, since a computation may itself end workers.
 """
 
 from __future__ import annotations

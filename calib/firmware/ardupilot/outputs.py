@@ -1,9 +1,9 @@
 """Motor outputs of an ArduPilot, and the drive for each pulse width.
 
-A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse:
-thrusters of a sub (``AP_Motors6DOF``: 1500 us), throttles of rovers and boats (``SERVOn_TRIM``), throttles of planes
-with reverse thrust (``THR_MIN`` < 0), 3D speed controllers (``SERVO_BLH_3DMASK``). Sources: ``AP_MotorsUGV.cpp``,
-``AP_Motors6DOF.cpp``, ``SRV_Channel.cpp`` and ``ArduPlane/servos.cpp``.
+A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse.
+Such outputs are thrusters of a sub (``AP_Motors6DOF``: 1500 us) and throttles of rovers and boats (``SERVOn_TRIM``). So
+are throttles of planes with reverse thrust (``THR_MIN`` < 0), and 3D speed controllers (``SERVO_BLH_3DMASK``). Sources:
+``AP_MotorsUGV.cpp``, ``AP_Motors6DOF.cpp``, ``SRV_Channel.cpp`` and ``ArduPlane/servos.cpp``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Everything here acts at once, without a restart. TCALn_ENABLE is documented as n
 (value 2, latched at boot); the correction reads it with every sample. A plan that switches it to 1 therefore does not
 ask for a restart. If a firmware needed one, the physical check would show it.
 
-INS_TCALn hold ``P(t) = 1e-6 (C1 t + C2 t^2 + C3 t^3)``, ``t = clamp(T) - 35``; there is no constant, and one range of
+INS_TCALn hold ``P(t) = 1e-6 (C1 t + C2 t^2 + C3 t^3)``, ``t = clamp(T) - 35``; there is no constant. One range of
 temperature serves the accelerometer and the gyroscope of an instance.
 """
 

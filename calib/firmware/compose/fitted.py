@@ -1,8 +1,8 @@
 """Fits in the form that the composers need: sorted by content, then by sensor.
 
-Every fit has the form of a sensor model, but that of a level fit is neutral and that of a motor fit is the one in
-force. Read as corrections they would state, with certainty, that the sensor has no error. So only :func:`contents`
-makes a :data:`Correction`, and code that needs the true sensor model takes nothing else.
+Every fit has the form of a sensor model. In a level fit this model is neutral, in a motor fit it is the one in force.
+Read as corrections they would state, with certainty, that the sensor has no error. So only :func:`contents` makes a
+:data:`Correction`, and code that needs the true sensor model takes nothing else.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@ Losses and warnings of the plan state what the firmware cannot store, ignores or
 written are blockers. The plan is pure data; the service executes it.
 
 A sensor whose fit agrees with the calibration in force is not written, particularly if that needs a restart. Its whole
-change (offset, scale or matrix, drift) is judged at once (:mod:`calib.firmware.significance`). Not judged are a sensor
-that was never calibrated; one whose id, rotation or temperature reference is new; and a drift measured over a wider
-range than the one in force.
+change (offset, scale or matrix, drift) is judged at once (:mod:`calib.firmware.significance`). Some sensors are not
+judged: those never calibrated, and those whose id, rotation or temperature reference is new. Nor is a drift measured
+over a wider range than the one in force.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 A vector replaces the one in memory only if it differs by more than a threshold (FLIGHT_CONTROLLERS 1.4, 10). Two
 questions follow. *After a restart*, memory starts from the neutral vector. A vector within the threshold of neutral
 never comes into force, so neutral is written and the difference announced as a loss. *Now*, every single PARAM_SET
-loads the vector as it then is. The components are written in an order that ends with all of them in memory, if there is
-one; otherwise the change takes effect with a restart.
+loads the vector as it then is. The components are written in an order that ends with all of them in memory. Without
+such an order, the change takes effect with a restart.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ is -g times the third row of L, ``-g (-sin y, sin x cos y, cos x cos y)``, for a
 
 ``x = atan2(-v_y, -v_z)``, ``y = atan2(v_x, sqrt(v_y^2 + v_z^2))``:
 
-the trim is the roll and pitch that the board reads when the vehicle is level, on both. A level that was measured with
-the old calibration is the raw reading that the old one turned into ``v_old``; the new one turns it into ``v_new``.
+the trim is the roll and pitch that the board reads when the vehicle is level, on both. The old calibration turned the
+raw reading of the measured level into ``v_old``. The new one turns the same raw reading into ``v_new``.
 """
 
 from __future__ import annotations

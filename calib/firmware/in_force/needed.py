@@ -1,7 +1,7 @@
 """Names of the parameters that a job needs, so that a slow link need not carry the whole list.
 
-A name that decides about others (a device id, a switch, a mounting) is read first: ask :func:`needed` again with what
-it said until nothing new is named. Parameters that are not named are not used by :mod:`calib.firmware` for these
+A name that decides about others (a device id, a switch, a mounting) is read first. Call :func:`needed` again with the
+values read, until it names nothing new. Parameters that are not named are not used by :mod:`calib.firmware` for these
 sensors.
 """
 

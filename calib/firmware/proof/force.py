@@ -74,8 +74,8 @@ class Force:
     def acting(self, about: Subject) -> tuple[str, ...]:
         """Names of the changes that the correction of `about` depends on.
 
-        A change counts as acting if it matters beside all others or all alone: a coefficient matters only once its
-        set is enabled, and the enabling only with coefficients.
+        A change counts as acting if it matters beside all others or alone. A coefficient matters only once its set is
+        enabled, and the enabling only with coefficients.
         """
         every = frozenset(change.name for change in self.changes)
         whole, none = self.possible(about, every), self.possible(about, frozenset())
@@ -92,7 +92,7 @@ class Force:
         """:meth:`model`, or None where no vehicle corrects by that mixture of old and new values.
 
         A new TMIN with the old TMAX may leave an empty range. The scale of an absent sensor is 0, and so is the
-        diagonal of a never calibrated compass: with one new element the matrix has no inverse.
+        diagonal of a never calibrated compass. With one new element the matrix then has no inverse.
         """
         try:
             model = self.model(about, applied)

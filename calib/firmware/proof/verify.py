@@ -1,7 +1,7 @@
 """The physical check: do the streams behave as if every change of a plan were in force?
 
-Read-back proves that a number is stored, not that it is used: PX4 ignores small changes, ArduPilot a COMPASS_SCALE out
-of its window (FLIGHT_CONTROLLERS 1.3, 1.4), and either may be overwritten in the background. So the streams are undone
+Read-back proves that a number is stored, not that it is used. PX4 ignores small changes, ArduPilot a COMPASS_SCALE out
+of its window (FLIGHT_CONTROLLERS 1.3, 1.4). Either may be overwritten in the background. So the streams are undone
 under every combination of old and new values. Each combination is compared with quantities independent of the vehicle's
 pose (:mod:`calib.firmware.proof.discrepancy`). A parameter whose effect is below the noise is reported as not
 observable, never as verified; the report names the movement that would prove it.
@@ -143,7 +143,7 @@ _RAW: Final = (
 
 
 """PX4's magnetometers: SCALED_IMU raw, HIGHRES_IMU less the estimator's bias (FLIGHT_CONTROLLERS 2.2). Half of a new
-offset was seen there within 2 s; to judge by that, the state of the estimator had to be streamed too, and it is not."""
+offset was seen there within 2 s. Judging by that would require the state of the estimator, which is not streamed."""
 
 
 def _unknown(about: Subject, force: Force, now: StreamEvidence) -> str:

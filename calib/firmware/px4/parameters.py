@@ -262,8 +262,8 @@ def _longer(difference: Array, limit: float) -> bool:
 def without_row(events: Iterable[Event], entries: Iterable[ParameterEntry] = ()) -> frozenset[tuple[Sensor, int]]:
     """The sensors that PX4 calls uncalibrated in these texts, by streamed instance.
 
-    `entries`: the parameters as they were heard. What was said before an id of that kind changed counts no more: PX4
-    fills the row of a gyroscope by itself.
+    `entries` are the parameters as they were heard. A text from before a change of that sensor's ids no longer counts:
+    PX4 fills the row of a gyroscope by itself.
 
     >>> sorted(without_row([Event(0.0, "text", "Preflight Fail: Compass 1 uncalibrated")]))
     [(<Sensor.MAG: 'mag'>, 1)]

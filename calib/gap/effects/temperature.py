@@ -1,8 +1,8 @@
 """Thermal effects: a bias that follows the temperature, directly or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration: 25
-degC in MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value would add
-a bias to every thermal effect.
+The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration. It
+is 25 degC in MATLAB, and the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value
+would add a bias to every thermal effect.
 """
 
 from __future__ import annotations

@@ -89,8 +89,8 @@ def _held_shapes(
 ) -> frozenset[int]:
     """Shapes to hold in the next step, after a step with `stuck` ones held failed.
 
-    Far from its best value the tangent of a shape is misleading (a frequency between two peaks), and one such shape
-    spoils the step of all. The others may still gain, and the shape may be freed later.
+    Far from its best value the tangent of a shape is misleading (a frequency between two peaks). One such shape spoils
+    the step of all. The others may still gain, and the shape may be freed later.
     """
     step = _gauss_newton_step(model, joint, rows, shaped)
     if not float(step @ joint.normal.right) >= _WORTH_A_STEP:

@@ -4,7 +4,7 @@ A difference d of two instances does not tell which of them has an error. Their 
 of one instance's error is in s, so ``E[s d] = (var_1 - var_2) / 2``. This is the test of Pitman 1939 and Morgan 1939
 for two variances of a correlated pair. The vehicle's movement is in s but not in d. Let X be the power of d above that
 in the simulator's recording, in the band of the largest excess. There the excess of ``2 s d / X`` is 1 if the first
-instance has the error, -1 if the second has it, and 0 if both have it equally. In the lowest band, with too few
+instance has the error and -1 if the second has it. It is 0 if both have it equally. In the lowest band, with too few
 coefficients, the distance of both from the reference decides.
 """
 

@@ -2,7 +2,7 @@
 
 Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987). It attenuates every
 column and enters the difference with the opposite sign, so that a filter or a delay seems to explain it. The best
-estimate of the movement avoids that: the part that a Wiener filter removes is uncorrelated with the part that it passes
+estimate of the movement avoids that. The part that a Wiener filter removes is uncorrelated with the part that it passes
 (regression calibration; Carroll et al., Measurement Error in Nonlinear Models, 2006). At a frequency that the filter
 passes by ``g``, noise of power ``s^2`` leaves ``g s^2`` in the reference.
 

@@ -2,7 +2,7 @@
 
 The smoother estimates the candidate effects too. Gyroscope and accelerometer have biases that may wander and follow the
 unit's temperature. The gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an
-offset, soft iron, a field per ampere and a delay: a compass that averages over its period is late by half of it. The
+offset, soft iron, a field per ampere and a delay. A compass that averages over its period is late by half of it. The
 GPS has a delay. Without the compass' delay, turns would distort the field. Gauss-Newton over all nodes at once
 (multiple shooting). The error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias.
 The unit's measurements connect neighbours, so the normal equations are banded, bordered by the constants.

@@ -139,7 +139,7 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
     """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
 
     `information` is that of each beside all others. Either the axes of a sensor are equal, and an axis without the
-    noise costs; or the noise is on one axis, and the gain on the others is lost.
+    noise is penalised. Or the noise is on one axis, and the gain on the others is lost.
     """
     square = np.maximum(amplitudes, 0.0) ** 2
     if not len(square):

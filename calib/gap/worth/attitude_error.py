@@ -2,7 +2,7 @@
 
 A constant tilt looks like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
 gyroscope. An error of the gyroscope matrix inside the trajectory looks like misalignment of the sensor, one of an
-accelerometer's scale like a scale. The noise of the samples does not contain these errors: from a minute of data, a
+accelerometer's scale like a scale. The noise of the samples does not contain these errors. From a minute of data, a
 bias would seem a thousand times more accurate than the tilt allows.
 """
 

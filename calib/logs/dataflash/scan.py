@@ -113,9 +113,9 @@ class _Walk:
     Parameters
     ----------
     window
-        The block, followed by the reach of a message that begins in it and by one more header.
+        The block, with enough bytes behind it for a message that begins in it and one more header.
     begins
-        Its candidates.
+        Offsets in the block at which a message may begin.
     lengths
         Length by type, 0 for unknown ones.
     last

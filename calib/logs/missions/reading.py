@@ -7,8 +7,8 @@ PX4 logs no upload, so items that were never begun are unknown. ``navigator_miss
 when it begins (``mission_base.cpp``). Its coordinates are float32, those in ``position_setpoint_triplet`` are double.
 An item without a place is a ``vehicle_command`` of the vehicle to itself (``MissionBlock::issue_command``).
 
-PX4 adds items of its own: a climb before the first place, a move above the place of a landing, and a wait or rest
-behind the last one. The climb and the move were flown, and stay; the wait is left out.
+PX4 adds items of its own. They are a climb before the first place, a move above the place of a landing, and a wait
+after the last item. The climb and the move were flown, and stay; the wait is left out.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ Publish = Callable[[EventRow], None]
 class JobHandle:
     """Holds a running job. A change is queued for the store when the call returns, and announced once it is stored.
 
-    The store keeps the order: what was changed before a step of the journal is on the disk before that step, and a step
-    is there before :meth:`record` returns. Nothing waits for the disk on the event loop.
+    The store keeps the order: changes made before a step of the journal are on the disk before it. A step is on the
+    disk before :meth:`record` returns. Nothing waits for the disk on the event loop.
     """
 
     def __init__(

@@ -75,8 +75,8 @@ class Saved:
     def restarted_since(self, now: float, boot_time: float) -> bool:
         """Whether a vehicle that has run for `boot_time` seconds at `now` must have restarted meanwhile.
 
-        It says so only if it has run for less than before, or began after that moment for sure: the margin is for two
-        clocks that differ, and for a vehicle that starts its clock late.
+        True only if it has run for less time than before, or certainly started after that moment. The margin covers two
+        clocks that differ, and a vehicle that starts its clock late.
         """
         passed = now - self.at
         return boot_time < self.boot_time or boot_time < passed - max(RESTART_MARGIN_S, RESTART_MARGIN * passed)

@@ -55,7 +55,7 @@ class JobSettings:
     watch_s: float = 0.1
     """Period of the look at preconditions while something is under way."""
     retry_s: float = 2.0
-    """Between two attempts to resolve a job in doubt."""
+    """Time between two attempts to resolve a job in doubt."""
     last_save_s: float = 5.0
     """How long a service that ends tries to save what its store has refused."""
     fits_at_once: int = 8
@@ -63,4 +63,4 @@ class JobSettings:
     diagnoses_at_once: int = 1
     """Most gap diagnoses at a time, so that fits find a free process."""
     progress_s: float = 0.5
-    """Between two progress events of a job."""
+    """Least time between two progress events of a job."""

@@ -31,8 +31,8 @@ RESTARTED = "the vehicle restarted by itself"
 class WriteGuard:
     """Stops whatever runs under it as soon as the vehicle may not be written to.
 
-    It remembers who the vehicle was and how often it had restarted, armed, fallen silent and calibrated when the guard
-    was set up: what came and went while the event loop was busy stops a write too.
+    When set up, it stores the vehicle's identity and its counts of restarts, armings, silences and calibrations. Events
+    that came and went while the event loop was busy therefore stop a write too.
     """
 
     def __init__(self, vehicle: JobVehicle, watch_s: float) -> None:

@@ -30,9 +30,9 @@ _EVEN = 0.5
 class Wanted:
     """Required ratios (1: no change) and differences (0: no change).
 
-    Each is the effect's own part, without what follows from the others: weaker thrust also turns the vehicle less, and
-    rotor drag and inertia change the damping. `light` is the acceleration ratio of a lighter vehicle, at the
-    simulator's mass. `rotor_drag` contains its root, since rotors that carry less turn more slowly. `lag` are
+    Each is the effect's own part, without what follows from the others. Weaker thrust, for example, also turns the
+    vehicle less, and rotor drag and inertia change the damping. `light` is the acceleration ratio of a lighter vehicle,
+    at the simulator's mass. `rotor_drag` contains its root, since rotors that carry less turn more slowly. `lag` are
     differences of the time constants up and down, s; `slew` is the rate limit of the command itself, 1/s. `weak` has
     the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in rad/s2.
     `damping` is the ratio of an axis' damping, None: no change. `sag` is the ratio of the voltage sag; `sags` tells
