@@ -69,7 +69,7 @@ def _held_with(down: Array) -> Rotation:
 
 
 def _turn(vector: Array) -> Rotation:
-    # A statement waits while another thread imports this; `scipy.spatial.transform` as an attribute is there half-made.
+    # A statement waits for an import in another thread; the attribute `scipy.spatial.transform` may be incomplete.
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(vector)

@@ -164,7 +164,7 @@ async def running_service(
     running = running_campaigns(jobs, source, computations)
     campaigns = CampaignDesk(running, computations, settings.read_only, attended)
     async with AsyncExitStack() as started:
-        # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
+        # Interrupted writes first, so that nothing later can prevent their completion or rollback.
         started.callback(store.close)
         if instance is not None:
             started.callback(instance.close)

@@ -109,7 +109,7 @@ def catalogue(layout: Layout, kind: Kind, hover_gain: Sequence[float]) -> tuple[
 
 def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[AirframeEffect]:
     relative, plus = Act.TIMES, Act.PLUS
-    # what the rotors' own inertia does stays when their thrust or their torque changes
+    # the effect of the rotors' inertia does not change with their thrust or torque
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
@@ -119,7 +119,7 @@ def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[Airfram
             "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
             torque=True,
         )  # fmt: skip
-    # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
+    # the mass scales every force; terms in the rotors' speed scale with its root; other torques stay
     linear = 0.5 if kind.drag_by_rotor else 1.0
     whole, turned = ((n, 1.0) for n in (*BODY_DRAG, "ch")), (("flap_x", -0.5), ("flap_y", -0.5))
     shares = (("c1", linear), ("cz", linear), *whole, *turned)

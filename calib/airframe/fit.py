@@ -336,7 +336,7 @@ def fitted(
     white = rounds > _WHITE_ROUNDS
     for turn in range(rounds):
         bins = likelihood.bins(likelihood.residual(theta))
-        # a misfit at the start would pass for noise of its own spectrum, and stay
+        # an initial misfit would be taken for noise of that spectrum, and remain
         white = white and turn < _WHITE_ROUNDS
         spectra = [_white(b**2) for b in bins] if white else spectra_of(bins)
         columns = likelihood.jacobian(theta, free)

@@ -109,7 +109,7 @@ class PairEvidence:
     def _common(self) -> tuple[NDArray[np.intp], Array, Array]:
         """Positions among the common parameters of those that may differ from zero, with prior mean and sd."""
         names = [self.sim.fit.layout.names[r] for r in self._places]
-        # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
+        # no motor is weak in both flights, and a constant voltage does not determine a simulator's sag
         still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
         none = {"sag"} if still else set()
         rows = np.array([k for k, n in enumerate(names) if n not in none and not n.startswith(_ONLY_REAL)])
@@ -130,7 +130,7 @@ class PairEvidence:
         made = {False: self.real.says.with_discrepancy(self.real.discrepancy)}
         if self.slewed is not None:
             better = self.slewed.says.with_discrepancy(self.slewed.discrepancy)
-            # both are expansions of one flight: their difference at their own centres is what the limit gains
+            # both are expansions of one flight; the slew limit gains their difference at their own centres
             gain = self.slewed.likelihood.loglik(self.slewed.fit.theta, self.real.fit.spectra)
             gain -= self.real.likelihood.loglik(self.real.fit.theta, self.real.fit.spectra)
             made[True] = replace(better, constant=better.constant + gain)

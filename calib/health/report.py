@@ -145,7 +145,7 @@ def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFindi
     low, high = np.percentile(degrees, (0.5, 99.5)).tolist()  # one odd reading is no temperature
     was = f"was at {low:.0f} to {high:.0f} degC"
     vehicle = recording.identity.autopilot, recording.parameters.final(), sensor, instance
-    # autopilots zero their gyroscopes at each start: where they were zeroed once limits nothing
+    # autopilots zero their gyroscopes at each start, so the temperature of a calibration is no limit
     covered = corrected_by(*vehicle) if sensor == Sensor.GYRO else covered_by(*vehicle, None)
     if covered is None:
         text = f"{was}; no temperature calibration is in force: its drift is not corrected"

@@ -206,7 +206,7 @@ def _precision(distances: Array, doubt: Array, readings_worth: Array) -> tuple[A
     typical = float(np.mean(squares))
     if not typical > 0.0:
         return np.sqrt(readings_worth), 0.0
-    # Far off is only what neither the noise of all nor the doubt of its own explains.
+    # A sample is far off only if neither the common noise nor its own uncertainty explains it.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
 
     from scipy.optimize import minimize_scalar  # 11 MB that an idle service does without

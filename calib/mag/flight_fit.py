@@ -174,7 +174,7 @@ def _start(samples: Samples, flight: Flight, layout: Layout, known: Knowledge) -
     if known.field is not None:
         x[layout.field] = known.field.north_east_down
     else:
-        # field and offset, both small rather than large: a flight that hardly turns does not tell them apart
+        # prefer a small field and a small offset: a flight that hardly turns cannot separate them
         rows = np.concatenate([through, np.broadcast_to(np.eye(3), through.shape)], axis=2).reshape(-1, 6)
         ridge = 0.02 * math.sqrt(len(samples.t)) * np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
         both = np.vstack([rows, ridge])

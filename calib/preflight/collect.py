@@ -223,7 +223,7 @@ def _corrected(
     board = {BOARD_ROTATION["px4"], *PX4_LEVEL}
     if not complete and not (ids | board | set(row.values())) <= set(parameters):
         return None
-    # still at rest: a rotated bin has no zero of its own, and the motors are off
+    # valid at rest: a rotated bin has no zero of its own, and the motors are off
     return dataclasses.replace(channel, values=model.apply(channel.values), stage=Stage.CORRECTED, zero_bin=None)
 
 

@@ -99,7 +99,7 @@ class Attendance:
                     out.append((instance, f"{label(*instance)} stopped giving new values"))
                 continue
             self._silent[instance] = 0
-            # A quiet quantised sensor at rest repeats rightly: only a movement that others saw speaks against it.
+            # A quiet quantised sensor may repeat at rest; only a movement that others saw shows that it is stuck.
             if instance not in constant:
                 self._constant[instance] = 0
             elif _never_repeats(instance, frame[instance]) or any(m[0] in EVIDENCE[instance[0]] for m in movers):

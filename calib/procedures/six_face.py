@@ -109,7 +109,7 @@ class AccelSixFaceProcedure(TickedProcedure):
             )
         )
         self._hold.add(frame, seconds)
-        # the offset is a mean of six faces, so each may be known worse by the root of that
+        # the offset is a mean of six faces, so the sd of each may be larger by the square root of six
         if self._hold.complete(self._target):
             number = len(self._faces) + 1
             self._faces[at.face] = pose_of_hold(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))

@@ -78,7 +78,7 @@ class Thermometer:
         spans = np.diff(time)
         usual = float(np.quantile(spans, _USUAL))
         interval = float(np.median(silence[1:]))  # between two messages
-        # What stood until `last` was read within the period before it. How long the next value stands tells the period.
+        # The value held until `last` was read within the period before it; the next hold time gives the period.
         period = np.maximum(np.append(spans[1:], (np.inf, np.inf)), usual)
         held = last - np.maximum(period - interval, 0.0)
         late = silence > interval + _LATE * usual

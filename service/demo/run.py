@@ -217,7 +217,7 @@ class _Demo:
             raise DemoError(_why(job))
         self._show_plan(job.plan)
         qualities = [fit.quality for fit in job.results]
-        # Before a reboot begins the vehicle's time again.
+        # Before a reboot restarts the vehicle's time.
         truth = self._vehicle.truth(*sampled(self._tlogs, job.segments, qualities))
         if state == JobState.SUCCEEDED:  # what the vehicle found out by itself is as good: nothing to write
             return job, truth

@@ -18,7 +18,7 @@ from mavcal.service.simvehicle.parameters import AXES
 from mavcal.service.simvehicle.rotation import Array
 from mavcal.service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
 
-# By how much it is off by now: as much as a new calibration can prove, and not so much that the sensors look broken.
+# Errors of the calibration: large enough for a new one to prove, and too small for the sensors to look broken.
 ACCEL_OFFSET_AGED = (0.04, 0.1)  # m/s² an axis, either way
 ACCEL_SCALE_AGED = (4e-3, 9e-3)
 GYRO_OFFSET_AGED = (3e-3, 8e-3)  # rad/s

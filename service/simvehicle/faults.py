@@ -232,7 +232,7 @@ class Injector:
     def _foreign_write(self, fault: Fault, name: str | None) -> None:
         target, value = fault.options.get("name", name), float(fault.options.get("value", 0.123))
         if target in self._vehicle.table:
-            # After the one that triggered it, as a rival's would arrive.
+            # After the PARAM_SET that triggered it, as from a competing ground station.
             delay = float(fault.options.get("delay_s", 0.0))
             self._vehicle.at(delay, lambda: self._vehicle.foreign_set(target, value))
 

@@ -258,7 +258,7 @@ class Px4Messages(AutopilotMessages[Px4Readings]):
     def _sys_status(self, r: Px4Readings, i: int) -> Any:
         amps = r.block.current[i]
         volts = self._telemetry.battery_volts(amps)
-        # the bit of the arming checks is set among what is healthy alone (SYS_STATUS.hpp)
+        # the bit of the arming checks is set only in the health mask (SYS_STATUS.hpp)
         ready = self._vehicle.armed or not self._vehicle.arming_faults()
         health = SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK if ready else SENSORS
         return dialect.MAVLink_sys_status_message(

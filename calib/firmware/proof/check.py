@@ -330,7 +330,7 @@ def _cheapest(
     pull = precision @ vector
     cost = float(vector @ pull)
     for _ in range(most):
-        # each row by all the others that are left: its distance from what they say of it, squared
+        # squared distance of each row from its prediction by the other remaining rows
         squares = np.where(candidates & ~out, pull**2 / np.maximum(np.diag(precision), np.finfo(float).tiny), 0.0)
         worst = int(squares.argmax())
         if squares[worst] <= PRICE**2:

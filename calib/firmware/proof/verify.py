@@ -302,7 +302,7 @@ def _reading(check: StreamCheck, direction: Array) -> StillMean:
     assert expected is not None
     size = expected.magnitude or float(np.linalg.norm(now.mean))
     raw = model.invert(size * direction, now.temperature)
-    # the true reading is the one that the fitted model makes as long as it should be
+    # the true reading is the one to which the fitted model gives the known length
     corrected = expected.model.apply(raw, now.temperature)
     raw = expected.model.invert(corrected * size / np.linalg.norm(corrected), now.temperature)
     mean = model.apply(raw, now.temperature)

@@ -215,7 +215,7 @@ def extended(
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
         full = step >= prices.MOST_IN_A_ROW
-        # An event that waits for errors of other sensors to enter would spoil the noise of its own meanwhile.
+        # Until errors of other sensors enter, a postponed event would distort the noise of its own sensor.
         still = {key: s for key, s in scores.items() if s.hypothesis.effect.jumps} if full else scores
         best, trial = _best_candidate(still, level, gains, contest, model)
         if best is None and later and not contest.pace.ends():

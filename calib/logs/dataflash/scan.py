@@ -87,7 +87,7 @@ def _define(index: Index, lengths: Offsets, window: Bytes, begins: Offsets) -> N
     for begin in here.tolist():
         _adopt(index, lengths, window, begin)
         following = begin + FMT_LENGTH
-        # definitions stand behind one another: one whose header is damaged need not be lost, and its messages with it
+        # definitions follow one another, so one with a damaged header can be recovered, with its messages
         while following + HEADER <= len(window) and (window[following : following + 2] != MAGIC).sum() == 1:
             if not _adopt(index, lengths, window, following):
                 break

@@ -55,7 +55,7 @@ def _verified(job: Job, store: Store) -> VerifiedCalibration:
     parameters: Mapping[str, Value] = {} if kept is None else kept.body
     written = {change.name: change.new for change in job.plan.changes if not change.session}
     left = {**parameters, **written}
-    # as they stand afterwards: a plan may write ids, and its fingerprint is of before
+    # the values after the write: a plan may write ids, and its fingerprint is from before
     autopilot, stated = job.plan.fingerprint.autopilot, stated_device_ids(job)
     held = px4_sensor_ids(left, stated) if autopilot == "px4" else sensor_ids(autopilot, left)
     ids = {key_text(*key): device for key, device in held.items()}

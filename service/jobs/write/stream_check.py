@@ -200,7 +200,7 @@ class StreamCheck:
         found = await asyncio.to_thread(verify, self.plan, fits, then, now, parameters=known)
         if self.handle.job.kind != RESTORE:
             return found
-        # without fits nothing says what the sensors should read, but that they are at rest
+        # without fits the expected readings are unknown, except that the sensors are at rest
         return dataclasses.replace(found, sensors=(*found.sensors, *sensors_at_rest(self.plan, now)))
 
     @property
