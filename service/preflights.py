@@ -118,7 +118,7 @@ class Preflights:
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
         self._looks: dict[str, asyncio.Task[Preflight]] = {}
-        """Looks that give way to a preflight or a job, by vehicle."""
+        """Unrequested preflights by vehicle, which give way to a preflight or a job."""
 
     def require_idle(self, vehicle_id: str) -> None:
         """Raise PreflightRunning while a preflight of this vehicle runs; a look without a request is ended instead."""
@@ -222,7 +222,7 @@ class Preflights:
             found |= {name: reading.value for name, reading in readings.items()}
 
     async def _gather(self, vehicle: JobVehicle, rates: dict[int, float], began: float, heard: _Heard) -> None:
-        """Wait until every stream that comes has brought enough; what does not come is asked for again."""
+        """Wait until every stream has enough samples; missing streams are requested again."""
         autopilot = vehicle.identity.autopilot or ""
         found, looks = await _looked(heard, autopilot), 0
         while not found.enough and (left := LONGEST_S - (self._clock() - began)) > 0.0:
@@ -329,7 +329,7 @@ def _asked(asking: asyncio.Task[None], heard: _Heard) -> bool:
 
 
 async def _looked(heard: _Heard, autopilot: str) -> Gathered:
-    """How far the streams have come; messages are decoded beside the event loop."""
+    """Progress of the streams; messages are decoded outside the event loop."""
     return await asyncio.to_thread(gathered, tuple(heard.frames), autopilot)
 
 

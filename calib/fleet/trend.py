@@ -262,10 +262,10 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measurements of one sensor in the order of time: more than there are unknowns, not all at one time."""
+    """Measurements of one sensor in order of time, at more than one time, and more than there are unknowns."""
 
     days: Array
-    """Shape (n,)."""
+    """Time of each measurement, days since 1970, shape (n,)."""
     bias: Array
     """Shape (n, 3)."""
     sd: Array

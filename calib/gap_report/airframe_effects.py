@@ -33,7 +33,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class _Kind:
-    """`plain` names the effect, `finding` says what was found; `sides` has label and unit of the sides by parameter."""
+    """`plain` names the effect, `finding` states the result; `sides` has label and unit of both values by parameter."""
 
     plain: str
     finding: Callable[[_Params, EffectEstimate], str]
@@ -51,7 +51,7 @@ def plain_name(effect_id: str) -> str:
 
 
 def phrase(effect: EffectEstimate) -> str:
-    """``motor 3 is 7.9 % weak (7.4 to 8.4)``: what was found, to go on in a sentence."""
+    """The finding as part of a sentence: ``motor 3 is 7.9 % weak (7.4 to 8.4)``."""
     kind = _KINDS.get(effect.id)
     if kind is None or not effect.params:
         part = "motor" if effect.sensor is None else "unit"
@@ -69,7 +69,7 @@ def labels(effect_id: str) -> Mapping[str, tuple[str, str]]:
 
 
 def claims(effect: EffectEstimate) -> tuple[Claim, ...]:
-    """The parameters, except the number of a motor, which its name has."""
+    """The parameters, except the number of a motor, which is part of its name."""
     known_ones = labels(effect.id)
     return tuple(_claim(p, *known_ones.get(p.name, (p.name, p.unit))) for p in effect.params if p.name != "motor")
 
@@ -103,7 +103,7 @@ def _both(p: ParameterEstimate, unit: str) -> str:
 
 
 def _joined(parts: Iterable[str]) -> str:
-    """``a, b and c``. Raises KeyError where no parameter is there."""
+    """The parts as ``a, b and c``. Raises KeyError if there is none."""
     *most, last = list(parts) or [""]
     if not last:
         raise KeyError("no parameter")

@@ -108,5 +108,5 @@ def predicted(rollout: Rollout) -> str:
 
 
 def part_name(rollout: Rollout) -> str:
-    """``doublets held out``; empty where it is blocks of the flight, as everywhere."""
+    """Held-out data in words, such as ``doublets held out``; empty for blocks of the flight, the usual case."""
     return "" if rollout.part == "blocks" else f"{rollout.part.replace('_', ' ')} held out"

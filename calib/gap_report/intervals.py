@@ -38,7 +38,7 @@ def rounded(value: float, low: float, high: float, *, least: int = 0) -> str:
 
 
 def range_of(low: float, high: float, *, least: int = 0) -> str:
-    """``1.54 to 1.66``; empty where a value was taken as it is."""
+    """``1.54 to 1.66``; empty for a value without an interval."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not determined by itself"
     decimals = _decimals(low, high, least)

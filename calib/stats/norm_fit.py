@@ -50,7 +50,7 @@ class NormProblem:
 
 @dataclass(frozen=True, eq=False)
 class NormSolution:
-    """Where the iteration ended: estimate, posterior covariance, and the linearisation there."""
+    """The result of the iteration: estimate, posterior covariance, and the linearisation there."""
 
     parameters: Array  # (9,) b, then C in the order of PAIRS
     covariance: Array  # (9, 9)

@@ -66,7 +66,7 @@ def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:
     Raises
     ------
     InvalidInputError
-        If that is no positive number.
+        If `seconds` is not a positive number.
     """
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InvalidInputError(f"a pose is held for a positive number of seconds, not {seconds}")

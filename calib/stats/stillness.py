@@ -43,7 +43,7 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class PoseMean:
-    """What one accelerometer read in one still span.
+    """Mean reading of one accelerometer in one still span.
 
     `mean` (3,) is freed of quantisation bias and of the shrink by tremor, `covariance` (3, 3) is that of the mean.
     `temperature` in degC and `rate` (3,) in rad/s are None where nothing measured them. `estimate` gives the variance
@@ -77,7 +77,7 @@ class StillnessDetector:
     Parameters
     ----------
     limits
-        What counts as still.
+        Limits of stillness.
     accel, gyro : bool
         Which sensors are fed; a window is judged when all of them have passed its end.
 

@@ -24,8 +24,8 @@ class Windows(NamedTuple):
 def window_statistics(t: Array, x: Array, origin: float, starts: Array, length: float) -> Windows:
     """Mean and straight line of the samples ``start <= t < start + length`` of every window.
 
-    Every window is summed by itself, so the numbers do not depend on what else is in `t` (N,) and `x` (N, 3).
-    `origin` is a time near the samples. A window without samples has n = 0 and zeros.
+    Every window is summed separately, so its numbers do not depend on the rest of `t` (N,) and `x` (N, 3). `origin` is
+    a time near the samples. A window without samples has n = 0 and zeros.
     """
     i, j = np.searchsorted(t, starts), np.searchsorted(t, starts + length)
     covered = (t[np.minimum(i, len(t) - 1)] <= starts + length / 4) & (

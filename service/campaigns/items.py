@@ -1,4 +1,4 @@
-"""The items of a campaign: one for each vehicle or log, with what became of it."""
+"""The items of a campaign: one for each vehicle or log, with its outcome."""
 
 from __future__ import annotations
 

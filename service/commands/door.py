@@ -1,4 +1,4 @@
-"""Connects live commands to a service: one that runs elsewhere, or the application in this process.
+"""Connects live commands to a service: a running one, or the application in this process.
 
 Ctrl-C and SIGTERM end a command in an orderly way: its task is cancelled, and says what it leaves behind.
 """

@@ -104,7 +104,7 @@ class RandomWalk:
 
 @dataclass
 class Ramp:
-    """A quantity that moves in a straight line to its new value."""
+    """A quantity that changes linearly to its new value."""
 
     value: float = 0.0
     start_value: float = 0.0
@@ -174,7 +174,7 @@ class SimWorld:
         self.added: dict[tuple[str, int], Array] = {}
         """Offset that a fault adds to a reading, in the sensor's frame, by "accels", "gyros" or "mags" and instance."""
         self.bends: dict[int, Array] = {}
-        """How the mount of a compass is bent: a rotation in the body frame."""
+        """Rotation of a compass in the body frame by a bent mount."""
         self.field = np.asarray(config.field_ned_ut)
         self.gravity = np.array([0.0, 0.0, -config.gravity])
         self.sensor_from_body = mounting_matrix(config.board_orientation).T
