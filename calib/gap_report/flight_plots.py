@@ -27,8 +27,7 @@ _POINTS = 300
 _LEAST = 16  # samples for a picture
 _WIDTH, _HEIGHT = 294, 190
 _LEFT, _BARS, _TALL, _TOP = 120.0, 122.0, 21.0, 42.0
-_LONGEST = 19
-"""Letters of a name beside its bar."""
+_NAME_LETTERS = 19
 
 
 def trace_plots(trace: AirframeTrace) -> list[Markup]:
@@ -112,4 +111,4 @@ def _steps(rollout: Rollout) -> Iterator[tuple[str, float, float, str]]:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+    return name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"

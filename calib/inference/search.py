@@ -19,7 +19,7 @@ KEPT_NATS = 12.0
 """A model this much less likely than the best has a weight below 1e-5 and is dropped. Source: the issue's engine."""
 _MOST_REFINED = 12
 """Times that the data are expanded about a new best point. Measured: two are usual, ten in the slowest case seen."""
-_STILL = 0.25
+_MOST_CHANGE = 0.25
 """Largest change of a block between two expansions at which the search ends, in standard errors. Measured: when it
 stopped at the first repeated model, a drag of 0.07 +- 0.05 was reported as 0.32 +- 0.04."""
 _MOST_BLOCKS = 8
@@ -154,7 +154,7 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
         evidence = evidence.refined(best.model)
         found = _Search(evidence)
         best = max((found.climb(m, ended) for m in {best.model, frozenset[str]()}), key=lambda v: v.log_weight)
-        if _stands(before, best):
+        if _unchanged(before, best):
             break
     found.close(ended)
     best = max(found.seen.values(), key=lambda v: v.log_weight)
@@ -163,12 +163,12 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
     return Answer(tuple(kept), evidence.blocks, evidence, len(found.seen))
 
 
-def _stands(before: Visited, now: Visited) -> bool:
-    """Whether the best model and its amplitudes are unchanged after a new expansion."""
+def _unchanged(before: Visited, now: Visited) -> bool:
+    """Whether a new expansion gives the same best model, with equal amplitudes."""
     if before.model != now.model:
         return False
     found = ((before.posterior.of(name)[0], *now.posterior.of(name)) for name in now.model)
-    return all((np.abs(new - old) <= _STILL * np.sqrt(np.diag(spread))).all() for old, new, spread in found)
+    return all((np.abs(new - old) <= _MOST_CHANGE * np.sqrt(np.diag(spread))).all() for old, new, spread in found)
 
 
 def _moves(model: Model, blocks: tuple[Block, ...]) -> Iterator[Model]:

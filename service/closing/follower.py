@@ -27,8 +27,7 @@ _LIFT_S = 30.0
 _STARTS = 3
 _SLOWEST = 0.1
 """Lowest speed at which ArduPilot flies to a place, m/s (``AC_WPNav.cpp``)."""
-_NONE = -1
-"""Index that means no item."""
+_NO_ITEM = -1
 _CALLED = {way.name: way.called for way in (ways.ArduPilot, ways.Px4)}
 _HOME_ASK = dialect.MAVLINK_MSG_ID_HOME_POSITION
 
@@ -41,7 +40,7 @@ class Follower:
         self._home: Place | None = None
         self._items: tuple[MissionItem, ...] = ()
         self._last = 0
-        self._current, self._reached, self._complete = _NONE, _NONE, False
+        self._current, self._reached, self._complete = _NO_ITEM, _NO_ITEM, False
 
     def fly(self, settings: Mapping[str, float] | None = None) -> None:
         """The whole mission; `settings` are parameters that are set first, over MAVLink.
@@ -134,12 +133,12 @@ class Follower:
         vehicle = self._vehicle
         limits = [LONGER * seconds + MORE_S for seconds in durations(flown, speed)]
         began = since = vehicle.state.t
-        at = _NONE
+        at = _NO_ITEM
         while not self._done:
             now = vehicle.state.t
             if self._current != at:
                 at, since = self._current, now
-            if at != _NONE and now - since > limits[at]:
+            if at != _NO_ITEM and now - since > limits[at]:
                 self._stands(flown.items[at].name, now - since, limits[at])
             if now - began > sum(limits):
                 self._stands("the mission", now - began, sum(limits))
@@ -185,7 +184,7 @@ class Follower:
 
     def _begun(self) -> None:
         """Report the present item as the activity; a vehicle may disarm only in a landing."""
-        if self._current != _NONE:
+        if self._current != _NO_ITEM:
             item = self._items[self._current]
             self._vehicle.doing = f"flying {item.name}"
             self._vehicle.flying = item.command not in LANDINGS

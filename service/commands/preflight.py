@@ -92,7 +92,7 @@ async def _checked(door: Door, vehicle: VehicleModel, screen: Screen, *, wish: _
     fixed = await _fixed(door, vehicle, wish.kinds, screen)
     for fix in fixed:
         screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
-    with _said_meanwhile(screen):
+    with _reporting_progress(screen):
         found = await door.client.run_preflight(vehicle.id, heading=wish.heading)
     return found.model_copy(update={"fixed": fixed})
 
@@ -113,7 +113,7 @@ async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen
 
 
 @contextmanager
-def _said_meanwhile(screen: Screen) -> Iterator[None]:
+def _reporting_progress(screen: Screen) -> Iterator[None]:
     """Report every few seconds that the preflight goes on."""
     loop = asyncio.get_running_loop()
     text = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"

@@ -132,13 +132,13 @@ class Leases:
                 (subject, token),
             )
             if not held:
-                self._doubt(subject, token)
+                self._mark_lost(subject, token)
                 raise LeaseLost(f"this instance does not own {subject} any more: nothing is kept or written for it")
 
         return check
 
-    def _doubt(self, subject: str, token: int) -> None:
-        """Treat a lease that the database does not confirm as lost until it is renewed."""
+    def _mark_lost(self, subject: str, token: int) -> None:
+        """Treat a lease as lost until it is renewed."""
         if self._held.get(subject, (0, 0.0))[0] == token:
             self._held[subject] = (token, 0.0)
 

@@ -12,8 +12,8 @@ from mavcal.calib.wire.codec import padded_payload
 from mavcal.calib.wire.frames import Frame
 
 _BACK_S = 1.0
-_BACK_COUNT = 3
-"""Older stamps in a row that mean a reboot; fewer are late messages."""
+_REBOOT_STAMPS = 3
+"""Number of older stamps in a row; fewer are late messages."""
 _KEPT = 8
 _APART_S = 0.2
 """Least spacing of the time stamps kept for comparison, s."""
@@ -81,7 +81,7 @@ class BootClock:
         restarted = False
         if self.latest is not None and stamp < self.latest - _BACK_S:
             self._backwards += 1
-            if self._backwards < _BACK_COUNT:
+            if self._backwards < _REBOOT_STAMPS:
                 return False
             self._stamps.clear()
             self.restarts += 1
