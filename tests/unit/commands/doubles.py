@@ -77,8 +77,7 @@ class FakeVehicle:
 STEP_S = 1000.0
 """Between two steps, by the clock of the service; far more than a busy machine takes for all of them."""
 PATIENCE_S = 1.0
-"""How long a command may wait for another event of a job; one that leaves a job at once, whatever the machine does, waits
-0 s."""
+"""How long a command may wait for another event of a job, once the script is over."""
 
 Step = tuple[Job, str, Mapping[str, Any]]
 """A job as it is when an event of it is heard, and that event."""
