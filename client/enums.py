@@ -24,7 +24,7 @@ class Autopilot(StrEnum):
 
 
 class CheckId(StrEnum):
-    """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
+    """Stable names of the checks, in the order of the report."""
 
     SENSORS_HEARD = "sensors_heard"
     GYRO_REST = "gyro_rest"

@@ -14,7 +14,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "preflight.md"
 def page(text: str) -> str:
     """`text` with the tables of checks and limits as the code has them."""
     checks = [(f"`{of}`", ASKS[of]) for of in CheckId]
-    found = [(of, f"{limit.value:g} {limit.unit}".rstrip(), limit.source) for of, limit in limits.ALL.items()]
+    found = [(limit.of, f"{limit.value:g} {limit.unit}".rstrip(), limit.source) for limit in limits.ALL]
     text = _with_table(text, "checks", ("id", "what it asks"), checks)
     return _with_table(text, "limits", ("check", "limit", "why"), found)
 

@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _complain(arguments, error.code, error.message)
         sys.exit(error.ends_with)
     except click.ClickException as error:
-        _complain(arguments, "usage", error.format_message())
+        _complain(arguments, "usage", _usage(error))
         sys.exit(EXIT_USAGE)
     except (click.Abort, KeyboardInterrupt):
         click.echo("stopped", err=True)
@@ -105,6 +105,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         sys.exit(0)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage(error: click.ClickException) -> str:
+    """The message on one line; where it names nothing that would do, with the help to ask for."""
+    message = " ".join(error.format_message().split())
+    bare = message.startswith(("Missing", "No such")) and "Choose from" not in message
+    if not bare or not isinstance(error, click.UsageError) or error.ctx is None:
+        return message
+    return f"{message.rstrip('.')}: see `{error.ctx.command_path} --help`"
 
 
 def _complain(arguments: Sequence[str], code: str, message: str) -> None:

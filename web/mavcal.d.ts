@@ -134,7 +134,7 @@ export interface ChangeModel {
   session: boolean;
 }
 
-/** Stable names of the checks; the comment of each is its line in docs/preflight.md. */
+/** Stable names of the checks, in the order of the report. */
 export type CheckId = "sensors_heard" | "gyro_rest" | "gyro_noise" | "accel_force" | "compass_field" | "compass_direction" | "attitude" | "temperature" | "calibration_age" | "sensor_ids" | "parameters_changed" | "motor_compensation" | "vibration" | "onboard_calibration" | "arming_checks" | "vehicle_prearm";
 
 /** One check; value, sd and limit are those of its worst number, null where it has none. */

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -25,7 +25,7 @@ class Verdict(StrEnum):
 
 
 class CheckId(StrEnum):
-    """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
+    """Stable names of the checks, in the order of the report."""
 
     SENSORS_HEARD = "sensors_heard"
     GYRO_REST = "gyro_rest"
@@ -337,3 +337,12 @@ class Snapshot:
     def stated(self) -> dict[tuple[Sensor, int], int]:
         """See :func:`stated_device_ids`."""
         return stated_device_ids(self.history, self.parameters)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The checks of one module that need the snapshot alone."""
+
+    checks: tuple[Callable[[Snapshot], Check], ...]
+    parameters: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """What the module's checks look at and no calibration has, by autopilot; no other parameter is read for them."""

@@ -13,18 +13,19 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
-from mavcal.calib.earth import EarthField
-from mavcal.calib.errors import FirmwareError
+from mavcal.calib.earth import EarthField, decimal_year, earth_field
+from mavcal.calib.errors import FirmwareError, InvalidInputError
 from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.names import MOTOR, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Verdict, counted, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Subject, Verdict, counted, judged, unknown
 from mavcal.calib.preflight.rest import Mean, evidence_lines
-from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.recording import Array, Recording, Sensor
 
 _VEHICLE = "the vehicle's own heading"
 _GIVE = "Check again and give the true heading of the nose: it tells which of them is off."
@@ -40,6 +41,8 @@ _PX4_PER_KA = 1e-3
 _BY_CURRENT = {"ardupilot": (2,), "px4": (2, 3)}
 _TYPES = {"ardupilot": "COMPASS_MOTCT", "px4": "CAL_MAG_COMP_TYP"}
 _PER_MOTOR = 3
+_TYPICAL_FIELD = 50.0
+"""Strength of the field, uT, where the place is not known."""
 _REMEDY = "Measure the motor compensation again, or switch it off."
 
 
@@ -384,8 +387,29 @@ def _rotated(vector: Array, axis: Array, angle: float) -> Array:
     return np.asarray(math.cos(angle) * vector + math.sin(angle) * np.cross(axis, vector))
 
 
-def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
-    """Motor compensation in force at full power, as a share of the field of `strength` (uT)."""
+def place_of(recording: Recording) -> tuple[float, float, float] | None:
+    """Last reported latitude, longitude (deg) and altitude (m)."""
+    for channel in recording.find(Sensor.POSITION):
+        for latitude, longitude, altitude in channel.values[::-1].tolist():
+            if latitude or longitude:  # (0, 0) is "no fix"
+                return latitude, longitude, altitude
+    return None
+
+
+def field_of(snapshot: Snapshot) -> EarthField | None:
+    """The Earth's field where the vehicle is; None: the place is not known, or outside the model."""
+    place = place_of(snapshot.recording)
+    if place is None:
+        return None
+    when = datetime.fromtimestamp(snapshot.now, UTC)
+    try:
+        return earth_field(*place, decimal_year(when))
+    except InvalidInputError:
+        return None
+
+
+def motor_compensation(snapshot: Snapshot) -> Check:
+    """Motor compensation in force at full power, as a share of the Earth's field."""
     of = CheckId.MOTOR_COMPENSATION
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
     name = _TYPES.get(autopilot, "")
@@ -403,7 +427,8 @@ def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
         return Check(
             of, Verdict.FAIL, None, None, None, "", reason, "Set up the current sensor, or switch it off.", read
         )
-    limit = limits.MOTOR_SHARE
+    limit, field = limits.MOTOR_SHARE, field_of(snapshot)
+    strength = _TYPICAL_FIELD if field is None else field.norm
     measures = []
     for instance in snapshot.recording.instances(Sensor.MAG):
         taken = _compensation_length(autopilot, parameters, instance, by_current=by_current)
@@ -429,3 +454,12 @@ def _compensation_length(autopilot: str, parameters: Mapping[str, Value], instan
     if by_current:
         full = limits.FULL_CURRENT_A * (_PX4_PER_KA if autopilot == "px4" else 1.0)
     return float(np.linalg.norm(vector)) * _UT[autopilot] * full
+
+
+SUBJECT = Subject(
+    (motor_compensation,),
+    {
+        "ardupilot": ("COMPASS_AUTODEC", "COMPASS_DEC"),
+        "px4": ("EKF2_DECL_TYPE", "EKF2_MAG_DECL"),
+    },
+)

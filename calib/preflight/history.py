@@ -17,7 +17,7 @@ from mavcal.calib.firmware.names import LEVEL, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Verdict, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Snapshot, Subject, Verdict, judged, unknown
 from mavcal.calib.preflight.expected import GYRO_SWITCH, SHARED, ExpectedCalibration, expected, last_of_each
 from mavcal.calib.recording import Sensor
 
@@ -304,3 +304,6 @@ def _warmth(snapshot: Snapshot) -> Check:
     remedy = "Let the vehicle come to these temperatures, or calibrate over temperature."
     good = "Every inertial unit is inside the temperatures that its calibration covers."
     return judged(CheckId.TEMPERATURE, measures, good=good, remedy=remedy, notes=notes)
+
+
+SUBJECT = Subject((temperature, calibration_age, sensor_check, parameters_changed))

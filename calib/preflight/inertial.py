@@ -1,4 +1,4 @@
-"""Checks gyroscopes and accelerometers at rest, and the vehicle's attitude against its accelerometers.
+"""Checks gyroscopes and accelerometers at rest, vibration, and the attitude against the accelerometers.
 
 After new accelerometer offsets the estimators of both firmwares keep their old bias for minutes, or until a restart.
 The vehicle would fly with that attitude.
@@ -17,9 +17,19 @@ from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import SURE, Check, CheckId, Measure, counted, judged, unknown
+from mavcal.calib.preflight.check import (
+    SURE,
+    Check,
+    CheckId,
+    Measure,
+    Snapshot,
+    Subject,
+    counted,
+    judged,
+    unknown,
+)
 from mavcal.calib.preflight.rest import Mean, evidence_lines
-from mavcal.calib.recording import Array, Channel, Recording, Sensor
+from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
@@ -174,24 +184,17 @@ def _no_data(what: str, silent: tuple[str, ...]) -> str:
     return f"No {what} could be seen: {'; '.join(silent)}." if silent else f"No {what} was heard."
 
 
-def attitude(
-    recording: Recording,
-    accels: Mapping[int, Mean],
-    autopilot: str,
-    parameters: Mapping[str, Value],
-    motion: str | None,
-    *,
-    complete: bool,
-) -> Check:
+def attitude(snapshot: Snapshot, accels: Mapping[int, Mean], motion: str | None) -> Check:
     """Angle between the verticals of the attitude and of the accelerometers, deg."""
     of = CheckId.ATTITUDE
+    recording, autopilot, parameters = snapshot.recording, snapshot.identity.autopilot or "", snapshot.parameters
     channel = next((c for c in recording.find(Sensor.ATTITUDE) if finite_rows(c.values).any()), None)
     if channel is None:
         return unknown(of, "The vehicle did not say its attitude (ATTITUDE).", "Check again over a better link.")
     if motion is not None or not accels:
         why = motion or "no accelerometer shows where down is"
         return unknown(of, f"The vertical cannot be seen: {why}.", "Put the vehicle down and check again.")
-    if autopilot == "ardupilot" and not complete and any(name not in parameters for name in AHRS_TRIM):
+    if autopilot == "ardupilot" and not snapshot.complete and any(name not in parameters for name in AHRS_TRIM):
         return unknown(of, "AHRS_TRIM_X and _Y could not be read in time.", "Check again over a better link.")
     trim = level_trim(autopilot, parameters)
     force = np.median([mean.value for mean in accels.values()], axis=0)
@@ -221,3 +224,22 @@ def down(channel: Channel) -> Array:
     downs = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
     middle = np.median(downs, axis=0)
     return np.asarray(middle / np.linalg.norm(middle))
+
+
+def vibration(snapshot: Snapshot) -> Check:
+    """Level now, and clips since the start."""
+    shaking = snapshot.shaking
+    if shaking is None:
+        return unknown(CheckId.VIBRATION, "The vehicle does not say how it vibrates (VIBRATION).")
+    level, clips = limits.VIBRATION, limits.CLIPPING
+    worst = max(shaking.levels, default=0.0)
+    measures = [Measure("vibration", worst, 0.05 * worst, level.value, level.unit)]
+    for i, count in enumerate(shaking.clips):
+        measures.append(Measure(f"clips of accelerometer {i + 1} since the start", count, 0.0, clips.value, clips.unit))
+    good = "The vehicle is quiet, and its accelerometers have hardly clipped since the start."
+    remedy = "Balance propellers and fasten or damp the autopilot; restart it to clear the counters."
+    heard = ("the newest VIBRATION message; its clips count since the start of the vehicle",)
+    return judged(CheckId.VIBRATION, measures, good=good, remedy=remedy, notes=heard)
+
+
+SUBJECT = Subject((vibration,), {"ardupilot": AHRS_TRIM})

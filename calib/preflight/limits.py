@@ -12,47 +12,52 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Limit:
-    """Upper limit of a value, and its reason."""
+    """The most that a value of this check may be, and why."""
 
+    of: str
     value: float
     unit: str
     source: str
 
 
-GYRO_REST: Final = Limit(0.5, "deg/s", "initial zero-rate tolerance of present parts (ICM-42688-P datasheet)")
-GYRO_NOISE: Final = Limit(0.5, "deg/s", "ten times 0.005 deg/s/√Hz (MPU-6000 datasheet) over 100 Hz")
+GYRO_REST: Final = Limit(
+    "gyro_rest", 0.5, "deg/s", "initial zero-rate tolerance of present parts (ICM-42688-P datasheet)"
+)
+GYRO_NOISE: Final = Limit("gyro_noise", 0.5, "deg/s", "ten times 0.005 deg/s/√Hz (MPU-6000 datasheet) over 100 Hz")
 ACCEL_FORCE: Final = Limit(
+    "accel_force",
     0.15,
     "m/s2",
     "a tilt of 0.9 deg; the firmwares refuse at 0.75 (ArduPilot, ARMING_ACCTHRESH) and 0.7 (PX4, COM_ARM_IMU_ACC)",
 )
-COMPASS_FIELD: Final = Limit(10.0, "uT", "ArduPilot's ARMING_MAGTHRESH, 100 mG against the magnetic model")
+COMPASS_FIELD: Final = Limit(
+    "compass_field", 10.0, "uT", "ArduPilot's ARMING_MAGTHRESH, 100 mG against the magnetic model"
+)
 COMPASS_ANGLE: Final = Limit(
-    10.0, "deg", "a sixth of COM_ARM_MAG_ANG (60 deg): position hold circles beyond some 10 deg"
+    "compass_direction", 10.0, "deg", "a sixth of COM_ARM_MAG_ANG (60 deg): position hold circles beyond some 10 deg"
 )
-ATTITUDE: Final = Limit(1.0, "deg", "the accelerometers' own limit, 0.15 m/s2, is a tilt of 0.9 deg")
+ATTITUDE: Final = Limit("attitude", 1.0, "deg", "the accelerometers' own limit, 0.15 m/s2, is a tilt of 0.9 deg")
 TEMPERATURE_SPAN: Final = Limit(
-    20.0, "degC", "drift of 0.01 m/s2/degC takes up the accelerometer's limit; for one calibration temperature"
+    "temperature",
+    20.0,
+    "degC",
+    "drift of 0.01 m/s2/degC takes up the accelerometer's limit; for one calibration temperature",
 )
-CALIBRATION_AGE: Final = Limit(365.0, "d", "long-term drift of consumer parts is stated per year; our choice")
-MOTOR_SHARE: Final = Limit(0.6, "", "ArduPilot's compassmot: interference above 60 % of the field is too much")
-VIBRATION: Final = Limit(2.5, "m/s2", "ArduPilot's INS_STILL_THRESH of copters: more is not standing still")
-CLIPPING: Final = Limit(100.0, "", "ArduPilot's documentation of vibration: more than 100 clips are a problem")
+CALIBRATION_AGE: Final = Limit(
+    "calibration_age", 365.0, "d", "long-term drift of consumer parts is stated per year; our choice"
+)
+MOTOR_SHARE: Final = Limit(
+    "motor_compensation", 0.6, "", "ArduPilot's compassmot: interference above 60 % of the field is too much"
+)
+VIBRATION: Final = Limit(
+    "vibration", 2.5, "m/s2", "ArduPilot's INS_STILL_THRESH of copters: more is not standing still"
+)
+CLIPPING: Final = Limit(
+    "vibration, clips", 100.0, "", "ArduPilot's documentation of vibration: more than 100 clips are a problem"
+)
 
-ALL: Final = {
-    "gyro_rest": GYRO_REST,
-    "gyro_noise": GYRO_NOISE,
-    "accel_force": ACCEL_FORCE,
-    "compass_field": COMPASS_FIELD,
-    "compass_direction": COMPASS_ANGLE,
-    "attitude": ATTITUDE,
-    "temperature": TEMPERATURE_SPAN,
-    "calibration_age": CALIBRATION_AGE,
-    "motor_compensation": MOTOR_SHARE,
-    "vibration": VIBRATION,
-    "vibration, clips": CLIPPING,
-}
-"""Limits by check; other checks have no numeric limit."""
+ALL: Final = tuple(limit for limit in vars().values() if isinstance(limit, Limit))
+"""A check that has no limit here judges no number."""
 
 # What limits a number besides the noise of the capture: one standard deviation each.
 EARTH_RATE_DEG_S: Final = 15.041 / 3600.0

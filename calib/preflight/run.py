@@ -6,18 +6,13 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
-from mavcal.calib.earth import EarthField, decimal_year, earth_field
-from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import compass, history, inertial, self_report
 from mavcal.calib.preflight.check import Check, CheckId, Report, Snapshot, Verdict, VerifiedCalibration, unknown
-from mavcal.calib.preflight.compass import motor_compensation
-from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.installed import WORDS, Announced, Key, announced
 from mavcal.calib.preflight.liveness import Census, census, sensors_heard
 from mavcal.calib.preflight.movement import movement
@@ -41,7 +36,7 @@ _FOLLOWS = {
 """Checks whose failure explains that of others, whichever sensor it is."""
 _MEND = f"Mend {CheckId.SENSORS_HEARD} first, then check again."
 _FOLLOW = "It read one value all the time and may be frozen: turn the vehicle by 20 deg and see whether it follows."
-_TYPICAL_FIELD = 50.0
+_SUBJECTS = (inertial.SUBJECT, compass.SUBJECT, history.SUBJECT, self_report.SUBJECT)
 
 
 def preflight(snapshot: Snapshot) -> Report:
@@ -50,10 +45,9 @@ def preflight(snapshot: Snapshot) -> Report:
     installed, turning = announced(autopilot, parameters, snapshot.stated), movement(snapshot.recording)
     there = census(snapshot, installed, turning)
     gyros, accels, compasses = (_means(snapshot, there, kind) for kind in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG))
-    place, field = _place(snapshot.recording), _field(snapshot)
+    place, field = compass.place_of(snapshot.recording), compass.field_of(snapshot)
     motion = moved(gyros.means, accels.means) or turning.text
     ground = None if place is None else (place[0], place[2])
-    strength = _TYPICAL_FIELD if field is None else field.norm
     rest = inertial.gyro_rest(gyros.means, gyros.silent, motion, installed=gyros.installed)
     followed = _followed(autopilot, parameters, installed)
     upright = _upright(snapshot, accels.means, astray=_astray(there, rest, followed))
@@ -72,16 +66,10 @@ def preflight(snapshot: Snapshot) -> Report:
             declination=compass.set_declination(autopilot, parameters, field),
             followed=followed,
         ),
-        attitude(snapshot.recording, accels.means, autopilot, parameters, motion, complete=snapshot.complete),
-        history.temperature(snapshot),
-        history.calibration_age(snapshot),
-        history.sensor_check(snapshot),
-        history.parameters_changed(snapshot),
-        motor_compensation(snapshot, strength),
-        self_report.vibration(snapshot.shaking),
-        self_report.onboard_calibration(snapshot.view),
-        self_report.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
+        inertial.attitude(snapshot, accels.means, motion),
+        *(check(snapshot) for subject in _SUBJECTS for check in subject.checks),
     ]
+    found.sort(key=lambda check: list(CheckId).index(check.id))
     found = _attributed(snapshot, _still(there, _without_sensor(there, _undisturbed(snapshot, found))))
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]
     found.append(self_report.vehicle_prearm(snapshot.view, autopilot, snapshot.parameters, failed))
@@ -91,7 +79,7 @@ def preflight(snapshot: Snapshot) -> Report:
 def looked_up(autopilot: str, known: Mapping[str, Value], history: Iterable[VerifiedCalibration]) -> set[str]:
     """Names of the parameters that the checks use; call again with the values read until there are no new names."""
     found = {name for entry in history for name in entry.parameters} | needed(autopilot, _ABOUT, known, drift=False)
-    return found | {*self_report.PARAMETERS.get(autopilot, ()), *self_report.LOOKED_AT.get(autopilot, ())}
+    return found | {name for subject in _SUBJECTS for name in subject.parameters.get(autopilot, ())}
 
 
 def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
@@ -199,26 +187,6 @@ def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
         else:
             means[instance] = mean
     return _Kind(means, tuple(silent), there.installed[sensor])
-
-
-def _place(recording: Recording) -> tuple[float, float, float] | None:
-    """Last reported latitude, longitude (deg) and altitude (m)."""
-    for channel in recording.find(Sensor.POSITION):
-        for latitude, longitude, altitude in channel.values[::-1].tolist():
-            if latitude or longitude:  # (0, 0) is "no fix"
-                return latitude, longitude, altitude
-    return None
-
-
-def _field(snapshot: Snapshot) -> EarthField | None:
-    place = _place(snapshot.recording)
-    if place is None:
-        return None
-    when = datetime.fromtimestamp(snapshot.now, UTC)
-    try:
-        return earth_field(*place, decimal_year(when))
-    except InvalidInputError:
-        return None
 
 
 def _upright(snapshot: Snapshot, accels: dict[int, Mean], *, astray: bool) -> compass.Upright | None:

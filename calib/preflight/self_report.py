@@ -1,4 +1,4 @@
-"""The vehicle's own report: vibration, onboard calibration, arming checks and their result."""
+"""The vehicle's own report: onboard calibration, arming checks and their result."""
 
 from __future__ import annotations
 
@@ -6,22 +6,16 @@ from collections.abc import Mapping, Sequence
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
-from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, OwnView, Shaking, Verdict, judged, unknown
+from mavcal.calib.preflight.check import Check, CheckId, OwnView, Snapshot, Subject, Verdict, unknown
 
 _ALL_CHECKS = 1
 """ARMING_CHECK of ArduPilot before 4.7: a mask of what is checked, 1 for everything. ARMING_SKIPCHK, since then, is a
 mask of what is skipped; both names with what they mean from the parameter documentation."""
-PARAMETERS = {
+ARMING = {
     "ardupilot": ("ARMING_CHECK", "ARMING_SKIPCHK", "COMPASS_ENABLE"),
     "px4": ("COM_ARM_MAG_STR", "COM_ARM_MAG_ANG", "SYS_HAS_MAG"),
 }
-"""Parameters that :func:`arming_checks` uses, by autopilot."""
-LOOKED_AT = {
-    "ardupilot": ("COMPASS_AUTODEC", "COMPASS_DEC", "AHRS_TRIM_X", "AHRS_TRIM_Y"),
-    "px4": ("EKF2_DECL_TYPE", "EKF2_MAG_DECL"),
-}
-"""Parameters that other checks use and no calibration contains, by autopilot."""
+"""What :func:`arming_checks` looks at, by autopilot."""
 _LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
 _ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
 """Words in a firmware's complaints if a sensor makes its estimator wrong."""
@@ -44,54 +38,37 @@ _GENERAL = (CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE)
 """Checks whose failure explains a vehicle's complaint about any sensor."""
 
 
-def vibration(shaking: Shaking | None) -> Check:
-    """Check of the present vibration level, and of the clips since the start."""
-    if shaking is None:
-        return unknown(CheckId.VIBRATION, "The vehicle does not say how it vibrates (VIBRATION).")
-    level, clips = limits.VIBRATION, limits.CLIPPING
-    worst = max(shaking.levels, default=0.0)
-    measures = [Measure("vibration", worst, 0.05 * worst, level.value, level.unit)]
-    for i, count in enumerate(shaking.clips):
-        measures.append(Measure(f"clips of accelerometer {i + 1} since the start", count, 0.0, clips.value, clips.unit))
-    good = "The vehicle is quiet, and its accelerometers have hardly clipped since the start."
-    remedy = "Balance propellers and fasten or damp the autopilot; restart it to clear the counters."
-    heard = ("the newest VIBRATION message; its clips count since the start of the vehicle",)
-    return judged(CheckId.VIBRATION, measures, good=good, remedy=remedy, notes=heard)
-
-
-def onboard_calibration(view: OwnView) -> Check:
-    """Check for a running calibration, which streams uncorrected values and refuses arming."""
-    of = CheckId.ONBOARD_CALIBRATION
-    if view.calibrating is None:
+def onboard_calibration(snapshot: Snapshot) -> Check:
+    """A running calibration streams uncorrected values and refuses arming."""
+    of, calibrating = CheckId.ONBOARD_CALIBRATION, snapshot.view.calibrating
+    if calibrating is None:
         return unknown(of, "The vehicle did not say whether it calibrates by itself.")
-    if view.calibrating:
+    if calibrating:
         reason = "The vehicle runs a calibration of its own."
         return Check(of, Verdict.FAIL, None, None, None, "", reason, "Let it finish, or cancel it there.", _LISTENED)
     good = "The vehicle runs no calibration of its own."
     return Check(of, Verdict.PASS, None, None, None, "", good, evidence=_LISTENED)
 
 
-def arming_checks(autopilot: str, parameters: Mapping[str, Value], *, complete: bool = True) -> Check:
-    """Check for parameters that disable the vehicle's own checks, which is not a pass.
-
-    `complete`: every parameter was read, so that a missing one does not exist.
-    """
+def arming_checks(snapshot: Snapshot) -> Check:
+    """Whether a parameter switches the vehicle's checks off: disabled is not pass."""
     of = CheckId.ARMING_CHECKS
-    known = [name for name in PARAMETERS.get(autopilot, ()) if name in parameters]
+    autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
+    known = [name for name in ARMING.get(autopilot, ()) if name in parameters]
     if not known:
         return unknown(of, "No parameter tells whether the vehicle checks itself before arming.")
     off, read = switched_off(autopilot, parameters), [f"{name} = {shown(parameters[name], 6)}" for name in known]
     if off:
         reason = f"The vehicle does not check all of itself before arming: {'; '.join(off)}. Disabled is not pass."
         return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", (*off, *read))
-    if not complete and len(known) < len(PARAMETERS[autopilot]):
+    if not snapshot.complete and len(known) < len(ARMING[autopilot]):
         return unknown(of, "Not every arming parameter could be read in time.", "Check again on a faster link.", read)
     return Check(of, Verdict.PASS, None, None, None, "", "No arming check is switched off.", evidence=tuple(read))
 
 
 def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
     """Sentences on every check that a parameter switches off."""
-    value = {name: int(parameters[name]) for name in PARAMETERS.get(autopilot, ()) if name in parameters}
+    value = {name: int(parameters[name]) for name in ARMING.get(autopilot, ()) if name in parameters}
     off = []
     if autopilot == "ardupilot":
         if value.get("ARMING_CHECK", _ALL_CHECKS) != _ALL_CHECKS:
@@ -160,3 +137,6 @@ def _explained(text: str, failed: Sequence[CheckId]) -> bool:
     lower = text.lower()
     of_sensors = any(word in lower for words in _WORDS.values() for word in words)
     return any((of in _GENERAL and of_sensors) or any(word in lower for word in _WORDS.get(of, ())) for of in failed)
+
+
+SUBJECT = Subject((onboard_calibration, arming_checks), ARMING)

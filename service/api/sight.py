@@ -2,7 +2,7 @@
 
 A vehicle is seen by such a key if one of its tags is one of the key's. Jobs are seen with their vehicle, links with one
 that is on them. Uploads and what is computed of them have no vehicle and are not seen. What is not seen answers as if
-it were not there. A route that names nothing and is not among :data:`FILTERED` is refused.
+it were not there. A route without a `{…}` in its path that is not among :data:`FILTERED` is refused.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FILTERED: Final = frozenset(
         *("list_unfinished", "follow_events", "list_procedures", "get_info", "make_ticket"),
     }
 )
-"""Operations without a name in their address that leave out unseen objects, or concern no vehicle."""
+"""Operations without a `{…}` in their path that leave out what is not seen, or tell of no vehicle."""
 _ABSENT: Final[Mapping[str, tuple[type[ServiceError], str]]] = {
     "vehicle_id": (VehicleUnknown, "vehicle"),
     "unit_id": (UnitUnknown, "unit"),

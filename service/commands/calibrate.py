@@ -30,8 +30,8 @@ HANDS_FREE = ("gyro", "level")
 """Those of ``service.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
 
 
-@click.command()
-@click.argument("kind", type=click.Choice(KINDS))
+@click.command(epilog=f"KIND is one of {', '.join(KINDS)}.")
+@click.argument("kind", metavar="KIND", type=click.Choice(KINDS))
 @whom_options(every=True)
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
 @click.option(

@@ -123,7 +123,7 @@ def command(
     if ctx.invoked_subcommand is not None:
         return 0
     if real is None:
-        raise click.UsageError("Missing option '--real'.")
+        raise click.UsageError("Missing option '--real'.", ctx)
     from mavcal.calib import gap
     from mavcal.calib.gap.schema import as_json as document_of
     from mavcal.service.commands.gap_files import (

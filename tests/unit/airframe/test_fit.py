@@ -247,7 +247,14 @@ def test_the_models_own_error_is_in_both_flights(simulated: Side) -> None:
     assert one.log_evidence == pytest.approx(two.log_evidence, abs=0.1)
 
 
-@pytest.mark.parametrize(("name", "beyond", "end"), [("spin_up", 1.5, 1.0), ("expo", 1.35, 1.2), ("cg_x", 0.8, 0.5)])
+@pytest.mark.parametrize(
+    ("name", "beyond", "end"),
+    [
+        ("expo", 1.35, 1.2),
+        pytest.param("spin_up", 1.5, 1.0, marks=pytest.mark.long),
+        pytest.param("cg_x", 0.8, 0.5, marks=pytest.mark.long),
+    ],
+)
 def test_a_parameter_at_its_end_leaves_the_others_at_their_best(name: str, beyond: float, end: float) -> None:
     one = airframe(flew(3, **{name: beyond}), kind=KIND, volts=None)
     likelihood = FlightLikelihood(one, one.flight.usable, torque=True)

@@ -131,6 +131,7 @@ def test_take_off_low_hover_and_landing_of_alike_vehicles_show_nothing(tmp_path:
     assert named(blind) == []
 
 
+@pytest.mark.long
 def test_flights_that_stay_high_say_what_they_lack(usual: Recording, simulated: Recording) -> None:
     (lacks,) = (m for m in diagnosed(usual, simulated).missing if m.id == ID)
     assert "hovers for less than 6 s" in lacks.reason

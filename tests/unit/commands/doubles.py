@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -73,6 +74,11 @@ class FakeVehicle:
         return self.refusals < 0
 
 
+STEP_S = 1000.0
+"""Between two steps, by the clock of the service; far more than a busy machine takes for all of them."""
+PATIENCE_S = 1.0
+"""How long a command may wait for another event of a job, once the script is over."""
+
 Step = tuple[Job, str, Mapping[str, Any]]
 """A job as it is when an event of it is heard, and that event."""
 
@@ -100,16 +106,21 @@ class ScriptedJobs:
         return list(self.jobs.values())
 
     async def events(self, job_id: str) -> AsyncIterator[Any]:
-        """What a client is told of one job; a step without a kind lets the loop run."""
+        """What a client is told of one job from now on; a step without a kind lets the loop run.
+
+        Whoever waits for more than the steps fails, instead of waiting as long as a person would.
+        """
+        number = 0
         for number, (job, kind, data) in enumerate(self.steps, 1):
             self.jobs[job.id] = job
             if kind and job.id == job_id:
                 told = SimpleNamespace(model_dump=lambda mode, data=data: dict(data))
-                yield SimpleNamespace(data=SimpleNamespace(kind=kind, at=float(number), data=told))
+                yield SimpleNamespace(data=SimpleNamespace(kind=kind, at=time.time() + number * STEP_S, data=told))
             for _ in range(5):
                 await asyncio.sleep(0)
         self.steps = []
-        await asyncio.Event().wait()
+        await asyncio.sleep(PATIENCE_S)
+        raise AssertionError(f"job {job_id} is followed beyond its {number} steps")
 
     def ask(self, *what: Any) -> None:
         """Note a request, or refuse it."""

@@ -12,6 +12,7 @@ from mavcal.client.enums import JobState as ClientState
 from mavcal.service import cli
 from mavcal.service.cli import COMMANDS, main
 from mavcal.service.commands import audit, jobs
+from mavcal.service.commands.calibrate import KINDS
 from mavcal.service.commands.output import AnsweredNo
 from mavcal.service.errors import DataDirLocked, JobUnknown, LinkDown, VehicleSilent
 from mavcal.service.jobs.core.states import JobState
@@ -100,6 +101,24 @@ def test_the_table_of_commands_is_the_help_and_each_can_be_loaded(capsys, monkey
         main(["no-such"])
     assert raised.value.code == 2
     assert "No such command 'no-such'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["no-such"], "mavcal: No such command 'no-such': see `mavcal --help`\n"),
+        (["fit", "no-such"], "mavcal: No such command 'no-such': see `mavcal fit --help`\n"),
+        (["inspect"], "mavcal: Missing argument 'FILE...': see `mavcal inspect --help`\n"),
+        (["gap"], "mavcal: Missing option '--real': see `mavcal gap --help`\n"),
+        (["calibrate"], f"mavcal: Missing argument 'KIND'. Choose from: {', '.join(KINDS)}\n"),
+    ],
+)
+def test_a_wrong_use_is_one_line_that_says_where_to_look(capsys, monkeypatch, arguments, said):
+    monkeypatch.setattr(cli, "follow", lambda: None)
+    with pytest.raises(SystemExit) as raised:
+        main(arguments)
+    assert raised.value.code == 2
+    assert capsys.readouterr().err == said
 
 
 class Listing:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 
 import pytest
 
@@ -22,7 +23,7 @@ from mavcal.service.errors import VehicleSilent
 from mavcal.service.jobs.core.journal import JournalStep
 from mavcal.service.jobs.core.model import Failure, Result
 from mavcal.service.jobs.core.states import JobState
-from tests.unit.commands.doubles import FakeVehicle, of_service, plain
+from tests.unit.commands.doubles import STEP_S, FakeVehicle, of_service, plain
 
 URL = "udpin:0.0.0.0:14550"
 DONE = Result("It is written.")
@@ -131,7 +132,7 @@ async def test_what_happened_before_is_not_shown(make_service, screen):
         (job, "warning", {"text": "It is warm."}),
         (plain("j", JobState.SUCCEEDED), "state", {}),
     ]
-    assert (await follow(service, "j", screen, since=1.0)).state == JobState.SUCCEEDED
+    assert (await follow(service, "j", screen, since=time.time() + 1.5 * STEP_S)).state == JobState.SUCCEEDED
     assert screen.lines == ["    note: It is warm."]
 
 

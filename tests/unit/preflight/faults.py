@@ -156,7 +156,7 @@ def firmware_reset(vehicle: BenchVehicle) -> None:
     for name, value in vehicle.parameters.items():
         found_again = vehicle.autopilot == "ardupilot" and ("DEV_ID" in name or "PRIO" in name)
         calibration = name.startswith(("INS_ACC", "INS_GYR", "INS_TCAL", "COMPASS_", "CAL_", "TC_"))
-        keep[name] = value if found_again or not calibration or name == "INS_GYR_CAL" else _default(name)
+        keep[name] = value if found_again or not calibration or name in vehicle.settings else _default(name)
     vehicle.parameters.clear()
     vehicle.parameters.update(keep)
     _uncalibrated(vehicle)

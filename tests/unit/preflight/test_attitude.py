@@ -16,7 +16,7 @@ from mavcal.calib.preflight.inertial import attitude
 from mavcal.calib.preflight.rest import Mean, mean_at_rest
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.recording import Recording, Sensor
-from tests.unit.preflight.vehicle import healthy
+from tests.unit.preflight.vehicle import healthy, unheard
 
 CAPTURE = "ardupilot_accel_then_level_1_accel.tlog.xz"
 
@@ -44,7 +44,7 @@ def test_the_level_trim_turns_the_attitude() -> None:
     assert preflight(snapshot).check(CheckId.ATTITUDE).value > 4.0  # the attitude is the board's: without the trim
     forces = {i: mean_at_rest(snapshot.recording, Sensor.ACCEL, i) for i in range(vehicle.imus)}
     board = {i: turned(mean, euler_matrix(*np.degrees([roll, pitch]), 0.0).T) for i, mean in forces.items()}
-    found = attitude(snapshot.recording, board, "ardupilot", vehicle.parameters, None, complete=True)
+    found = attitude(snapshot, board, None)
     assert (found.verdict, found.value < 0.5) == (Verdict.PASS, True)
 
 
@@ -87,4 +87,4 @@ def measured(shared_data: Path, *, last_s: float) -> Check:
     accels = {i: mean_at_rest(ends, Sensor.ACCEL, i) for i in (0, 1)}
     there = {i: mean for i, mean in accels.items() if isinstance(mean, Mean)}
     parameters = dict(recording.parameters.at(end))
-    return attitude(ends, there, "ardupilot", parameters, None, complete=True)
+    return attitude(unheard("ardupilot", parameters, recording=ends), there, None)

@@ -81,4 +81,4 @@ def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
     for of, asks in ASKS.items():
         assert f"| `{of}` | {asks} |" in written
     assert set(ASKS) == set(CheckId)
-    assert {name.split(",")[0] for name in named.ALL} <= {of.value for of in CheckId}
+    assert {limit.of.partition(",")[0] for limit in named.ALL} <= {of.value for of in CheckId}

@@ -6,6 +6,8 @@ import pytest
 
 from mavcal.calib.preflight import self_report
 from mavcal.calib.preflight.check import CheckId, OwnView, Shaking, Verdict
+from mavcal.calib.preflight.inertial import vibration
+from tests.unit.preflight.vehicle import unheard
 
 READY = OwnView(present=True, ready=True, asked=True, calibrating=False)
 
@@ -45,7 +47,7 @@ def test_ready_and_silent_would_arm() -> None:
 @pytest.mark.parametrize("parameters", [{"ARMING_CHECK": 0}, {"ARMING_SKIPCHK": -1}])
 def test_a_yes_with_disabled_checks_is_none(parameters: dict[str, int]) -> None:
     assert self_report.vehicle_prearm(READY, "ardupilot", parameters, []).verdict == Verdict.UNKNOWN
-    check = self_report.arming_checks("ardupilot", parameters)
+    check = self_report.arming_checks(unheard("ardupilot", parameters))
     assert check.verdict == Verdict.WARN
     assert "Disabled is not pass" in check.reason
 
@@ -54,8 +56,8 @@ def test_a_vehicle_that_does_not_say_is_unknown() -> None:
     assert self_report.vehicle_prearm(OwnView(), "px4", {}, []).verdict == Verdict.UNKNOWN
     absent = OwnView(present=False, ready=None)
     assert "not heard" not in self_report.vehicle_prearm(absent, "ardupilot", {"ARMING_CHECK": 0}, []).reason
-    assert self_report.onboard_calibration(OwnView()).verdict == Verdict.UNKNOWN
-    assert self_report.vibration(None).verdict == Verdict.UNKNOWN
+    assert self_report.onboard_calibration(unheard(view=OwnView())).verdict == Verdict.UNKNOWN
+    assert vibration(unheard(shaking=None)).verdict == Verdict.UNKNOWN
 
 
 def test_px4_says_that_it_is_ready_by_its_health_alone() -> None:
@@ -84,14 +86,14 @@ def test_one_fault_is_one_failure_whatever_words_the_vehicle_has_for_it() -> Non
 
 
 def test_arming_checks_as_a_firmware_comes() -> None:
-    assert self_report.arming_checks("ardupilot", {"ARMING_CHECK": 1}).verdict == Verdict.PASS
-    assert self_report.arming_checks("ardupilot", {"ARMING_SKIPCHK": 0}).verdict == Verdict.PASS
-    assert self_report.arming_checks("px4", {"COM_ARM_MAG_STR": 2, "SYS_HAS_MAG": 1}).verdict == Verdict.PASS
-    assert self_report.arming_checks("px4", {"COM_ARM_MAG_STR": 0}).verdict == Verdict.WARN
-    assert self_report.arming_checks("ardupilot", {}).verdict == Verdict.UNKNOWN
+    assert self_report.arming_checks(unheard("ardupilot", {"ARMING_CHECK": 1})).verdict == Verdict.PASS
+    assert self_report.arming_checks(unheard("ardupilot", {"ARMING_SKIPCHK": 0})).verdict == Verdict.PASS
+    assert self_report.arming_checks(unheard("px4", {"COM_ARM_MAG_STR": 2, "SYS_HAS_MAG": 1})).verdict == Verdict.PASS
+    assert self_report.arming_checks(unheard("px4", {"COM_ARM_MAG_STR": 0})).verdict == Verdict.WARN
+    assert self_report.arming_checks(unheard("ardupilot", {})).verdict == Verdict.UNKNOWN
 
 
 def test_clips_since_the_start_count() -> None:
-    assert self_report.vibration(Shaking((0.1, 0.1, 0.1), (100, 0, 0))).verdict == Verdict.PASS
-    assert self_report.vibration(Shaking((0.1, 0.1, 0.1), (0, 101, 0))).verdict == Verdict.FAIL
-    assert self_report.vibration(Shaking((6.0, 0.1, 0.1), (0, 0, 0))).verdict == Verdict.FAIL
+    assert vibration(unheard(shaking=Shaking((0.1, 0.1, 0.1), (100, 0, 0)))).verdict == Verdict.PASS
+    assert vibration(unheard(shaking=Shaking((0.1, 0.1, 0.1), (0, 101, 0)))).verdict == Verdict.FAIL
+    assert vibration(unheard(shaking=Shaking((6.0, 0.1, 0.1), (0, 0, 0)))).verdict == Verdict.FAIL

@@ -23,11 +23,12 @@ from mavcal.calib.preflight.check import (
     unchecked,
     unknown,
 )
+from mavcal.calib.preflight.inertial import vibration
 from mavcal.calib.preflight.states import FinishedCalibration, SensorState, sensor_states, summary
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial
 from tests.unit.firmware.conftest import make_fit  # noqa: F401 - a fixture
-from tests.unit.preflight.vehicle import NOW, healthy
+from tests.unit.preflight.vehicle import NOW, healthy, unheard
 
 PASS, WARN, FAIL, UNKNOWN = Verdict.PASS, Verdict.WARN, Verdict.FAIL, Verdict.UNKNOWN
 RISING = [PASS, WARN, FAIL]
@@ -148,16 +149,16 @@ def test_a_consequence_keeps_its_number_and_names_its_cause():
 )
 def test_each_check_that_a_parameter_switches_off_is_told(autopilot, parameters, said):
     assert self_report.switched_off(autopilot, parameters) == said
-    assert self_report.arming_checks(autopilot, parameters).verdict in ((WARN,) if said else (PASS, UNKNOWN))
+    assert self_report.arming_checks(unheard(autopilot, parameters)).verdict in ((WARN,) if said else (PASS, UNKNOWN))
 
 
 def test_arming_parameters_that_were_not_all_read_prove_nothing():
     some = {"ARMING_CHECK": 1}
-    assert self_report.arming_checks("ardupilot", some, complete=False).verdict == UNKNOWN
+    assert self_report.arming_checks(unheard("ardupilot", some, complete=False)).verdict == UNKNOWN
     every = {**some, "ARMING_SKIPCHK": 0, "COMPASS_ENABLE": 1}
-    assert self_report.arming_checks("ardupilot", every, complete=False).verdict == PASS
-    assert self_report.arming_checks("ardupilot", {"ARMING_CHECK": 0}, complete=False).verdict == WARN
-    assert self_report.arming_checks("other", every).verdict == UNKNOWN
+    assert self_report.arming_checks(unheard("ardupilot", every, complete=False)).verdict == PASS
+    assert self_report.arming_checks(unheard("ardupilot", {"ARMING_CHECK": 0}, complete=False)).verdict == WARN
+    assert self_report.arming_checks(unheard("other", every)).verdict == UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -215,13 +216,13 @@ def test_what_sys_status_said_is_evidence(view, line):
 
 @pytest.mark.parametrize(("level", "verdict"), [(2.4, PASS), (2.6, WARN), (3.0, FAIL)])
 def test_a_level_of_vibration_is_known_to_a_twentieth(level, verdict):
-    assert self_report.vibration(Shaking((0.1, level, 0.1), (0, 0, 0))).verdict == verdict
-    assert self_report.vibration(Shaking((), ())).verdict == PASS
+    assert vibration(unheard(shaking=Shaking((0.1, level, 0.1), (0, 0, 0)))).verdict == verdict
+    assert vibration(unheard(shaking=Shaking((), ()))).verdict == PASS
 
 
 @pytest.mark.parametrize(("calibrating", "verdict"), [(None, UNKNOWN), (True, FAIL), (False, PASS)])
 def test_a_calibration_of_its_own_stands_against_arming(calibrating, verdict):
-    found = self_report.onboard_calibration(OwnView(calibrating=calibrating))
+    found = self_report.onboard_calibration(unheard(view=OwnView(calibrating=calibrating)))
     assert found.verdict == verdict
     assert bool(found.remedy) == (calibrating is True)
 

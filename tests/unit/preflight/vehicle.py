@@ -6,8 +6,9 @@ The sensors are drawn with what a good calibration leaves over. A fault changes 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,8 @@ class BenchVehicle:
     ill: frozenset[Sensor] = frozenset()
     turned_deg: float = 0.0
     """By how much it is turned about its vertical in the middle of the capture."""
+    settings: frozenset[str] = frozenset()
+    """Names of the parameters that no calibration writes."""
     heading_error: float = 0.0
     tilt_error: float = 0.0
     """How far the vehicle's own attitude is off, rad."""
@@ -206,7 +209,8 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
     then = NOW - float(rng.uniform(1.0, 200.0)) * DAY_S
     sensors = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG})
     at = dict.fromkeys(range(imus), covered)
-    _habits(quiet, autopilot, parameters, imus, mags, field_)
+    settings = _settings(quiet, autopilot, imus, mags, field_)
+    parameters |= settings
     noises = {
         Sensor.GYRO: (4e-5 if not redundant else 5e-4, 1.5e-3, imus),
         Sensor.ACCEL: (9e-4 if not redundant else 0.01, 0.03, imus),
@@ -229,25 +233,37 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
             sensor: np.exp(quiet.uniform(np.log(low), np.log(high), count)).tolist()
             for sensor, (low, high, count) in noises.items()
         },
+        settings=frozenset(settings),
     )
 
 
-def _habits(
-    rng: np.random.Generator, autopilot: str, parameters: dict[str, Value], imus: int, mags: int, field: EarthField
-) -> None:
+def _settings(rng: np.random.Generator, autopilot: str, imus: int, mags: int, field: EarthField) -> dict[str, Value]:
     """How firmwares and their users leave parameters that no calibration writes."""
+    found: dict[str, Value]
     if autopilot == "px4":
+        found = {"COM_ARM_MAG_STR": 2, "IMU_GYRO_CAL_EN": 1}
         for i in range(imus):
-            parameters |= {f"CAL_ACC{i}_PRIO": int(rng.choice([-1, 50, 75])), f"CAL_GYRO{i}_PRIO": 50}
+            found |= {f"CAL_ACC{i}_PRIO": int(rng.choice([-1, 50, 75])), f"CAL_GYRO{i}_PRIO": 50}
         for i in range(mags):  # where an external compass was calibrated, PX4 switches those inside off
-            parameters[f"CAL_MAG{i}_PRIO"] = int(rng.choice([0, 50, 75])) if i else 75
-        parameters |= {"SYS_HAS_MAG": 1, "EKF2_DECL_TYPE": 3, "EKF2_MAG_DECL": float(rng.normal(0.0, 10.0))}
-        return
-    parameters |= {"COMPASS_ENABLE": 1, "COMPASS_AUTODEC": 1, "COMPASS_DEC": float(rng.normal(0.0, 0.2))}
-    parameters |= {f"INS_USE{i + 1 if i else ''}": int(i < 2 or rng.integers(2)) for i in range(imus)}
-    parameters |= {f"COMPASS_USE{i + 1 if i else ''}": int(i < 1 or rng.integers(2)) for i in range(mags)}
+            found[f"CAL_MAG{i}_PRIO"] = int(rng.choice([0, 50, 75])) if i else 75
+        return found | {"SYS_HAS_MAG": 1, "EKF2_DECL_TYPE": 3, "EKF2_MAG_DECL": float(rng.normal(0.0, 10.0))}
+    found = {"ARMING_CHECK": 1, "INS_GYR_CAL": 1}
+    found |= {"COMPASS_ENABLE": 1, "COMPASS_AUTODEC": 1, "COMPASS_DEC": float(rng.normal(0.0, 0.2))}
+    found |= {f"INS_USE{i + 1 if i else ''}": int(i < 2 or rng.integers(2)) for i in range(imus)}
+    found |= {f"COMPASS_USE{i + 1 if i else ''}": int(i < 1 or rng.integers(2)) for i in range(mags)}
     if rng.integers(4) == 0:
-        parameters |= {"COMPASS_AUTODEC": 0, "COMPASS_DEC": field.declination + float(rng.normal(0.0, 0.02))}
+        found |= {"COMPASS_AUTODEC": 0, "COMPASS_DEC": field.declination + float(rng.normal(0.0, 0.02))}
+    return found
+
+
+def unheard(
+    autopilot: str = "ardupilot",
+    parameters: Mapping[str, Value] | None = None,
+    recording: Recording | None = None,
+    **more: Any,
+) -> Snapshot:
+    """A vehicle of which no more is heard than these."""
+    return Snapshot(recording or Recording(()), Identity(autopilot=autopilot), parameters or {}, NOW, **more)
 
 
 def rotation(rng: np.random.Generator, sd: float) -> Array:
@@ -292,14 +308,7 @@ def _ids(autopilot: str, imus: int, mags: int) -> dict[str, int]:
 
 def _parameters(rng: np.random.Generator, autopilot: str, imus: int, mags: int) -> dict[str, Value]:
     ids = _ids(autopilot, imus, mags)
-    found: dict[str, Value] = (
-        {"ARMING_CHECK": 1, "INS_GYR_CAL": 1}
-        if autopilot == "ardupilot"
-        else {
-            "COM_ARM_MAG_STR": 2,
-            "IMU_GYRO_CAL_EN": 1,
-        }
-    )
+    found: dict[str, Value] = {}
     thermal = bool(rng.integers(0, 2))
     caltemp = float(rng.uniform(15.0, 35.0))
     for sensor, count in ((Sensor.ACCEL, imus), (Sensor.GYRO, imus), (Sensor.MAG, mags)):
