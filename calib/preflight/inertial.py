@@ -219,7 +219,7 @@ def level_trim(autopilot: str, parameters: Mapping[str, Value]) -> Array:
 
 
 def down(channel: Channel) -> Array:
-    """Down in the vehicle's frame (3,), the mean of an attitude's samples."""
+    """Down in the vehicle's frame (3,), the median of an attitude's samples."""
     w, x, y, z = channel.values[finite_rows(channel.values)].T
     downs = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
     middle = np.median(downs, axis=0)

@@ -190,7 +190,7 @@ def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
 
 
 def _upright(snapshot: Snapshot, accels: dict[int, Mean], *, astray: bool) -> compass.Upright | None:
-    """Down from the mean of the accelerometers; north from the vehicle's own attitude, unless that is `astray`."""
+    """Down from the median of the accelerometers; north from the vehicle's own attitude, unless that is `astray`."""
     if not accels:
         return None
     force = np.median([mean.value for mean in accels.values()], axis=0)
