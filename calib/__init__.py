@@ -20,7 +20,7 @@ Uncertainty
     Every estimate carries a covariance and a list of what the data do not determine.
 
 The names of :data:`__all__` are what a notebook or another program needs (``docs/library.md``). Each is loaded when it
-is first asked for, so that the help of the command line does not wait for numpy; ``__init__.pyi`` has their types.
+is first requested, so that the help of the command line does not wait for numpy. Their types are in ``__init__.pyi``.
 
 The package opens files that it is given and nothing else: no sockets, no clocks, no printing.
 """

@@ -66,8 +66,8 @@ def imu_tk_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
 def kalibr_from_model(model: TriadModel) -> tuple[Array, Array, Array]:
     """M (3, 3) lower triangular with a positive diagonal, the rotation C_i (3, 3) and b (3,): ``m = M C_i truth + b``.
 
-    ``M C_i`` is the LQ decomposition of the sensitivity ``C^-1``. An accelerometer has no C_i of its own in Kalibr:
-    its M is the whole of it only where C_i is one.
+    ``M C_i`` is the LQ decomposition of the sensitivity ``C^-1``. Kalibr has no C_i for an accelerometer, so its M is
+    complete only if C_i is the identity.
     """
     orthogonal, triangle = np.linalg.qr(np.linalg.inv(model.matrix).T)
     signs = np.sign(np.diag(triangle))

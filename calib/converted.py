@@ -87,7 +87,7 @@ def px4_from_model(model: TriadModel, sensor: Sensor, instance: int = 0) -> dict
 
 
 def model_from_px4(parameters: Mapping[str, float], sensor: Sensor, instance: int = 0) -> TriadModel:
-    """The model of the parameters of a PX4, for a sensor with the body's axes, as if its thresholds were none."""
+    """The model of the parameters of a PX4, for a sensor with the body's axes; its thresholds are ignored."""
     roles = names.px4_names(sensor, instance)
     memory = px4.Px4Calibration(
         sensor,

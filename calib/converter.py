@@ -1,10 +1,10 @@
-"""Dataclasses as JSON and back, by the types of their fields: one converter (cattrs) for all that is stored or told.
+"""Dataclasses as JSON and back, by the types of their fields: one converter (cattrs) for all that is stored or sent.
 
-Out: arrays, tuples and sets become lists, enums their values, numbers that are not finite null. In: null where a
-number belongs is NaN, integers stay integers, and what was never written has its default. Nothing is guessed: text is
-no number, and a field that nobody knows is an error.
+Out: arrays, tuples and sets become lists, enums their values, numbers that are not finite null. In: null in place of a
+number becomes NaN, integers stay integers, and a missing field gets its default. Nothing is guessed: text is not a
+number, and an unknown field is an error.
 
-Whoever has a type with a form of its own makes a converter, or copies one, and registers that form.
+A module whose types have a JSON form of their own makes or copies a converter and registers that form.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ def read(converter: Converter, data: Any, kind: type[T]) -> T:
 
 
 def lenient(converter: Converter, kind: type[T]) -> Callable[[Any, type[T]], T]:
-    """A reader of `kind` that passes over keys that are no fields: they repeat what the others say."""
+    """A reader of `kind` that ignores keys that are not fields: they repeat what the fields say."""
     return make_dict_structure_fn(kind, converter, _cattrs_forbid_extra_keys=False)
 
 
 @contextmanager
 def _reading(kind: type) -> Iterator[None]:
-    """Turns what goes wrong while stored JSON is read into one typed error."""
+    """Turn any error while reading stored JSON into one typed error."""
     try:
         yield
     except InvalidInputError:

@@ -23,8 +23,8 @@ from mavcal.calib.errors import InvalidInputError
 Array = NDArray[np.float64]
 
 WEAKEST_UT, STRONGEST_UT = 22.0, 67.0
-"""Least and largest strength of the Earth's field at its surface: South America, and between Australia and Antarctica
-(WMM2025 and IGRF-14, charts of the total intensity)."""
+"""Least and largest strength of the Earth's field at its surface. They occur in South America, and between Australia
+and Antarctica (WMM2025 and IGRF-14, charts of the total intensity)."""
 
 LIFE_SPAN = 5.0
 """Years that one set of World Magnetic Model coefficients is valid for."""
@@ -97,7 +97,7 @@ class EarthField:
 
 
 def decimal_year(when: date) -> float:
-    """The year with its part that has passed by that day, as the magnetic model counts."""
+    """Decimal year of a date, as the magnetic model counts."""
     return when.year + (when.timetuple().tm_yday - 1) / 365.25
 
 
@@ -138,7 +138,7 @@ def earth_field(latitude: float, longitude: float, altitude: float, year: float)
 
 
 def beyond_earth(strength: float) -> float:
-    """How far a field of `strength` uT is outside of what any place on the Earth has, relative; 0: it is not.
+    """How far a field of `strength` uT lies outside the range of the Earth's, relative; 0: within it.
 
     >>> beyond_earth(49.0), beyond_earth(134.0), beyond_earth(11.0)
     (0.0, 1.0, 0.5)

@@ -40,9 +40,9 @@ class IncomparableError(InvalidInputError):
     def __init__(self, message: str | None = None, *, need: str = "") -> None:
         super().__init__(f"{message}: {need}" if message and need else message)
         self.reason = message or self.__doc__ or ""
-        """Why, without what would help."""
+        """The reason alone, without the remedy."""
         self.need = need
-        """What would help."""
+        """The remedy."""
 
 
 class UndeterminedError(CalibError):

@@ -45,7 +45,7 @@ def parameter_names(polynomial_degree: int = 0) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """A sensor model with its uncertainty, and what the data do not say about it.
+    """A sensor model with its uncertainty, and the parameters that the data do not determine.
 
     `covariance` is square over :func:`parameter_names`; an entry that the method holds fixed, or that is listed in
     `undetermined`, has zero variance there. A symmetric matrix fills both of its halves. With n polynomial terms the
@@ -247,7 +247,7 @@ class FitBuilder:
     relative: bool = False
     temperature: float | None = None
     movement: str = ""
-    """What would determine all of it: told of a refusal that names nothing better."""
+    """Movement that would determine the whole model; a refusal without a better one reports it."""
 
     @classmethod
     def of(

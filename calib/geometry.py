@@ -1,4 +1,4 @@
-"""Small pieces of geometry that several rooms need."""
+"""Geometry that several packages share."""
 
 from __future__ import annotations
 

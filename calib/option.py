@@ -19,14 +19,14 @@ class Option:
     name: str
     type: OptionType
     default: Any
-    """None: nothing is set unless it is said."""
+    """None: not set unless the user sets it."""
     help: str
     unit: str = ""
     low: float = -math.inf
     high: float = math.inf
 
     def from_text(self, value: Any) -> Any:
-        """A text of a number as that number; everything else as it is, for :meth:`check` to judge."""
+        """`value` as a number if it is the text of one; anything else unchanged, for :meth:`check` to judge."""
         if not isinstance(value, str) or self.type not in _NUMBERS:
             return value
         try:

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 
 SLIGHT = 0.2
-"""A part of the direction below this (12 deg) is not said: no hand is that exact."""
+"""Components of the unit vector below this (12 deg) are not mentioned: no hand is that exact."""
 UPRIGHT = math.radians(70.0)
-"""Steeper than this a nose points down, and no share is said."""
+"""Angle, rad, above which a side simply points down, and no fraction is named."""
 SHARES = ((0.25, "a quarter"), (0.42, "a third"), (0.59, "half"), (1.0, "two thirds"))
-"""Up to which share of a right angle each word is said."""
+"""Largest fraction of a right angle for each word."""
 
 
 def tilted(down: Sequence[float]) -> str:
@@ -39,7 +39,7 @@ def tilted(down: Sequence[float]) -> str:
 
 
 def _share(part: str, sine: float) -> str:
-    """How far this part is down, as a share of a right angle."""
+    """How far this part is down, as a fraction of a right angle, in words."""
     angle = math.asin(min(1.0, abs(sine)))
     if angle > UPRIGHT:
         return f"{part} down"

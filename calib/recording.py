@@ -52,7 +52,7 @@ _LOOKED_AT = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
 
 
 class Stage(StrEnum):
-    """How far the firmware has worked on the numbers."""
+    """How far the firmware had processed the samples."""
 
     RAW = "raw"  # no calibration in force, or undone
     CORRECTED = "corrected"  # calibration in force applied
@@ -61,7 +61,7 @@ class Stage(StrEnum):
 
 
 class Rounding(StrEnum):
-    """How the numbers were made discrete."""
+    """How the values were quantised."""
 
     NONE = "none"
     NEAREST = "nearest"
@@ -134,7 +134,7 @@ class Channel:
 
     @property
     def key(self) -> tuple[Sensor, int, str]:
-        """What tells channels of one recording apart: sensor, instance, source."""
+        """Key of the channel within one recording: sensor, instance, source."""
         return self.sensor, self.instance, self.source
 
     def require_ordered(self) -> None:
@@ -210,8 +210,8 @@ class Oddity(StrEnum):
 class OddSamples:
     """How many samples of one sensor were odd.
 
-    `total` are the samples that there were, None where that is not known; `until` is when it last happened, s, None
-    where only the beginning is known.
+    `total` is the number of all samples, None where it is unknown. `until` is the time of the last one, s, None where
+    only the first is known.
     """
 
     what: Oddity

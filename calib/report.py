@@ -141,4 +141,4 @@ def _register_step(made: Converter, kind: type, name: str) -> None:
 
 
 CONVERTER = _made()
-"""For others to copy, who have more types with forms of their own."""
+"""Other modules copy it to register more types with a JSON form of their own."""

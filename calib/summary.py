@@ -1,4 +1,4 @@
-"""What an object says of itself in a console and in a notebook: a title, a table, notes."""
+"""Summary of an object for a console or a notebook: a title, a table and notes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Summary:
         return "\n".join([self.title, *(line.rstrip() for line in lines), *(f"  {note}" for note in self.notes)])
 
     def html(self) -> str:
-        """The same for a notebook; every text is escaped."""
+        """The summary as HTML for a notebook; every text is escaped."""
         out = [Markup("<p><b>{}</b></p>").format(self.title)]
         if self.rows:
             head = Markup().join(Markup('<th style="{}">{}</th>').format(_STYLE, c) for c in self.columns)

@@ -1,4 +1,4 @@
-"""An attitude for a picture, from gyroscopes and gravity alone: where no estimate of the vehicle's own is streamed."""
+"""Attitude for display, from gyroscope and accelerometer, where the vehicle streams no estimate of its own."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 CORRECTION_S = 0.7
 """Time constant with which gravity corrects the integrated rate, s."""
 LONGEST_STEP_S = 0.5
-"""After a longer pause the rate says nothing of what happened meanwhile, and gravity alone counts."""
+"""Longest pause, s, over which the rate is integrated; after a longer one gravity alone sets the attitude."""
 STEADY = 0.3
-"""Share of g by which the specific force may differ from it and still show the vertical."""
+"""Fraction of g by which the specific force may differ from g and still show the vertical."""
 _DOWN = np.array([0.0, 0.0, 1.0])
 
 
@@ -69,7 +69,7 @@ def _held_with(down: Array) -> Rotation:
 
 
 def _turn(vector: Array) -> Rotation:
-    # A statement waits while another thread imports this; `scipy.spatial.transform` as an attribute is there half-made.
+    # A statement waits for an import in another thread; the attribute `scipy.spatial.transform` may be incomplete.
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(vector)

@@ -1,4 +1,4 @@
-"""The sensor equation of a three-axis sensor, which nothing else knows, and what its uncertainty does to the attitude.
+"""The sensor equation of a three-axis sensor, defined only here, and what its uncertainty does to the attitude.
 
 ``measured = M truth + b + p(T)`` and ``corrected = C (measured - b - p(T))`` with ``C = M^-1``.
 """
@@ -131,7 +131,7 @@ class TriadModel:
 
 
 def tilt_sd_deg(model: TriadModel, covariance: Array, gravity: float) -> float:
-    """Standard deviation of the level that an accelerometer's `model` gives, degrees, in the worst direction.
+    """Standard deviation of the tilt by an accelerometer's `model`, degrees, in the worst direction.
 
     ``da = dC C^-1 a - C db`` with ``a = (0, 0, -g)``: its horizontal part over g is the tilt. A rotation of the whole
     sensor against the vehicle is not in it: no pose shows it.

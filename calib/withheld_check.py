@@ -1,8 +1,8 @@
 """The withheld-effect checks: cases whose cause is known, their seal, and the score of what was answered.
 
-This is the one way to the foreign generators ``calib.blind`` and ``calib.blind.airframe``. It lies outside, because
-every byte of a generator is under seal; and nothing else in ``calib`` imports it, because the diagnosis must not know
-who examines it.
+Only this module imports the independent generators ``calib.blind`` and ``calib.blind.airframe``. It is not part of
+them, because a seal covers every byte of a generator. Nothing else in ``calib`` imports it: the diagnosis must not know
+its examiner.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Everything of mavcal that needs a clock or a socket."""
+"""The part of mavcal that needs a clock or sockets."""
 
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-"""Before numpy is loaded, and for child processes: its matrices are small here, and threads that wait for each other
-took five times the processor time."""
+"""Limits numpy to one thread, before it is loaded and for child processes. Its matrices are small here, and threads
+that wait for each other took five times the processor time."""

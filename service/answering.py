@@ -1,4 +1,4 @@
-"""Serves HTTP for a service of this process on a port of its own, without the signals and the loop of a server."""
+"""Serves HTTP for a service in this process on a port of its own, without a server's signals and loop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mavcal.service.settings import Settings
 
 @asynccontextmanager
 async def answering(settings: Settings, service: Service) -> AsyncIterator[str]:
-    """The address of the application, until the end of the block; what is not answered by then is cancelled."""
+    """The address of the application, until the end of the block; unanswered requests are then cancelled."""
     app = create_app(settings)
     app.state.service = service
     app.state.noting = False  # the audit trail keeps what was written, not every step of a command

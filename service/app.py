@@ -1,4 +1,4 @@
-"""The ASGI application; nothing lives outside the object that is made here."""
+"""The ASGI application; it has no global state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def create_app(settings: Settings) -> FastAPI:
     Raises
     ------
     AuthError
-        If the settings would let anybody on the network in.
+        If the settings would let anybody on the network use the service.
     """
     check_exposure(settings)
 

@@ -43,7 +43,7 @@ COMMANDS = {
     "doctor": "Check this machine for what the service needs.",
 }
 ANSWERS = (VehicleError, JobError, LinkDown)
-"""Errors that are the answer to what was asked, not a wrong use: the vehicle says no."""
+"""Errors that are a negative answer of the vehicle, not wrong use."""
 
 
 class LazyGroup(click.Group):

@@ -21,7 +21,7 @@ REPORT, PAGE = "report.json", "report.html"
 """Documents of a gap diagnosis: the report, and the same as a page."""
 
 _IN_TIME = 0.8
-"""Part of the time after which a child is ended that a diagnosis takes at most: it answers instead."""
+"""Share of the child's time limit that a diagnosis takes at most, so that it answers before it is ended."""
 
 
 class UploadComputations:
@@ -32,9 +32,9 @@ class UploadComputations:
     recordings
         The uploads.
     children
-        Where the work is done.
+        Child processes for the work.
     of_fits, of_gaps
-        What a fit and a diagnosis may take.
+        Limits of a fit and of a diagnosis.
     """
 
     def __init__(self, recordings: Recordings, children: Runs, of_fits: Limits, of_gaps: Limits) -> None:

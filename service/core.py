@@ -58,14 +58,14 @@ if TYPE_CHECKING:
 log = structlog.get_logger(__name__)
 
 SPREAD = JobSettings(fits_at_once=64, diagnoses_at_once=16)
-"""Where workers compute, only they say how much is done at a time."""
+"""Settings of jobs where workers compute, since only workers then limit the load."""
 
 LEAST_FREE_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
 class Service:
-    """Everything that routes and commands work with."""
+    """The parts of a service for routes and commands."""
 
     settings: Settings
     store: Store
@@ -80,7 +80,7 @@ class Service:
     live: LiveRates
     hands: SimulatedHands
     left: tuple[Unfinished, ...] = ()
-    """What earlier runs have left unfinished, as it was before any link was open."""
+    """Unfinished jobs of earlier runs, as they were before any link was open."""
 
     def obstacle(self) -> str | None:
         """Obstacle to running jobs now; None: nothing stands in the way."""
@@ -164,7 +164,7 @@ async def running_service(
     running = running_campaigns(jobs, source, computations)
     campaigns = CampaignDesk(running, computations, settings.read_only, attended)
     async with AsyncExitStack() as started:
-        # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
+        # Interrupted writes first, so that nothing later can prevent their completion or rollback.
         started.callback(store.close)
         if instance is not None:
             started.callback(instance.close)
@@ -197,7 +197,7 @@ async def running_service(
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:
-    """Our part among other instances, if the settings name a database that they share."""
+    """The instance of this process, if the settings name a shared database."""
     if settings.database_url is None:
         return None
     from mavcal.service.instances.instance import Instance
@@ -236,7 +236,7 @@ async def _cancelled(task: asyncio.Task[None]) -> None:
 
 
 async def _open_links(links: LinkRegistry, settings: Settings, store: Store) -> None:
-    """Open what the settings name, which must work, and what was open before, which may have gone."""
+    """Open the links of the settings, which must work, and links open before, which may be gone."""
     for url in settings.connect:
         await links.open(url, remember=False, trusted=True)
     for row in store.links():

@@ -1,4 +1,4 @@
-"""Answers while the application is being loaded: the panel's page and files, and that the process lives.
+"""Answers while the application is loading: the panel's page and files, and the liveness check.
 
 Loading takes a second of a processor, and half a minute on one that is busy. Requests of the page are answered at
 once; all others wait until the application can answer them itself.
@@ -31,7 +31,7 @@ def panel_folder() -> Path:
 
 
 class Doorway:
-    """An ASGI application in front of one that is still to come."""
+    """An ASGI application in front of one that is still loading."""
 
     def __init__(self, settings: Settings) -> None:
         self._policy = page_policy(settings)
@@ -42,7 +42,7 @@ class Doorway:
         self._opened = asyncio.Event()
 
     def open(self, app: ASGIApp) -> None:
-        """From now on this application answers everything, also what has waited for it."""
+        """Let this application answer everything from now on, including waiting requests."""
         self._app = app
         self._opened.set()
 
@@ -56,7 +56,7 @@ class Doorway:
         await self._app(scope, receive, send)
 
     def _ours(self, scope: Scope) -> bool:
-        """Whether this needs no more than files, and no decision on who asks: that is the application's."""
+        """Whether a request needs only files and no access check, which is the application's task."""
         host = Headers(scope=scope).get("host", "").rpartition(":")[0].strip("[]")
         known = self._anywhere or is_loopback(host)
         path = scope["path"]

@@ -19,7 +19,7 @@ from mavcal.service.reviews import reviewed
 from mavcal.service.store.sql import Store
 
 PICTURES_A_ROW = 2
-"""As many as a sheet of paper is wide."""
+"""Number of pictures that fit the width of a sheet of paper."""
 MEDIA_TYPES: Mapping[str, str] = {
     "param": "text/plain",
     "parm": "text/plain",
@@ -98,5 +98,5 @@ def _number(value: float | None) -> str:
 
 
 def _rough(value: float | None) -> str:
-    """As many digits as a standard deviation has a meaning for."""
+    """A standard deviation with its significant digits."""
     return "–" if value is None else shown(value, 2)

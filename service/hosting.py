@@ -29,7 +29,7 @@ class Hosted:
         return (await self.service.links.open(endpoint, remember=False, trusted=True)).id
 
     async def wait_for_cleanup(self) -> None:
-        """Wait until nothing is owed to a vehicle: its old message rates, and a look at it after a write."""
+        """Wait until the message rates of every vehicle are restored, and checks after a write are done."""
         await self.service.jobs.wait_for_cleanup()
 
 

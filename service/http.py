@@ -1,8 +1,8 @@
-"""The HTTP server of the service: uvicorn, with connections that never finish asking cut off.
+"""The HTTP server of the service: uvicorn, with a limit for connections that never finish a request.
 
-uvicorn waits forever for the head of a request, and takes one of any size. Here it has a limit of time and one of size,
-and only so many connections may be without a whole head at a time; when one more comes, the one that has waited longest
-goes.
+uvicorn waits forever for the head of a request, and takes one of any size. Here it has a limit of time and one of size.
+Only so many connections may be without a complete head at a time; a further one displaces the one that has waited
+longest.
 """
 
 from __future__ import annotations

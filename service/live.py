@@ -38,8 +38,8 @@ class LiveBatch:
     bare: tuple[Channel, ...]
     """Compasses without the calibration in force; none where that is not known."""
     attitude: Quaternion | None
-    """Newest attitude, w x y z, body to north-east-down: the vehicle's own, or else of gravity and rates with a free
-    heading; None: neither has come."""
+    """Newest attitude, w x y z, body to north-east-down; None: none yet. It is the vehicle's own, or else from gravity
+    and rates with a free heading."""
     field: float | None
     """Strength of the Earth's field by the World Magnetic Model, uT; None: the position is not known."""
     loss: float | None
@@ -112,8 +112,8 @@ class _Losses:
 class OneSource:
     """One message for each sensor, where several carry it: they tell of the same moments, each in its own digits.
 
-    The finest one of those that come often, rather one from which no bias was taken; another one only when it has not
-    come for a while.
+    The finest message of those that come often, preferably one without a bias subtracted. Another one is used only when
+    it has not come for a while.
     """
 
     def __init__(self) -> None:

@@ -3,8 +3,8 @@
 A link that brings too few samples in that time is waited for, for half a minute at most: that is no sensor's fault.
 So is an ArduPilot that has just started, until it has seen its IMUs agree for 10 s.
 
-Nothing is written to the vehicle. While it is looked at no job may begin, and while a job runs it is not looked at:
-both ask for message rates and put them back.
+Nothing is written to the vehicle. No job may begin during a preflight, and no preflight during a job: both request
+message rates and restore them.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ from mavcal.service.vehicle.rate_ledger import RateUser
 History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
 """The verified calibrations of a vehicle, oldest first."""
 DEADLINE_S = 8.5
-"""From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
+"""Time from the start to the last sample, s; the rest of ten seconds restores the streams and computes."""
 LONGEST_S = 26.0
-"""From the start to the last sample on a link that brings them slowly; a client waits for thirty seconds in all."""
+"""Time from the start to the last sample on a slow link, s; a client waits for thirty seconds in all."""
 STILL_S = 15.0
-"""From the start to the last sample where a compass reads one value all the time. The quietest part known has 15 nT of
+"""Time from the start to the last sample if a compass reads a constant value, s. The quietest part known has 15 nT of
 noise (RM3100, datasheet). Read 10 times a second, it shows a step of 100 nT within 6 s in 97 of 100 simulated cases,
 within 13 s in 99."""
 LOOK_S = 0.5
 """Period of the count of samples, s."""
 AGAIN = 8
-"""Looks after which the streams are asked for again."""
+"""Number of looks after which the streams are requested again."""
 SILENT_ASKS = 6
-"""How often, LOOK_S apart, streams are asked for again where a sensor that is announced sends nothing at all. On a link
-that loses every third message both ways, all nine requests are lost once in 50 000 times."""
+"""Number of repeated requests, LOOK_S apart, if an announced sensor sends nothing at all. On a link that loses every
+third message both ways, all nine requests are lost once in 50 000 times."""
 FIRST_S = 3.5
 """Time for parameters and present rates before the streams begin, s; a rate not heard counts as the default."""
 DEMANDS, DEMAND_S = 3, 0.3
@@ -118,7 +118,7 @@ class Preflights:
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
         self._looks: dict[str, asyncio.Task[Preflight]] = {}
-        """Looks that give way to a preflight or a job, by vehicle."""
+        """Unrequested preflights by vehicle, which give way to a preflight or a job."""
 
     def require_idle(self, vehicle_id: str) -> None:
         """Raise PreflightRunning while a preflight of this vehicle runs; a look without a request is ended instead."""
@@ -222,7 +222,7 @@ class Preflights:
             found |= {name: reading.value for name, reading in readings.items()}
 
     async def _gather(self, vehicle: JobVehicle, rates: dict[int, float], began: float, heard: _Heard) -> None:
-        """Wait until every stream that comes has brought enough; what does not come is asked for again."""
+        """Wait until every stream has enough samples; missing streams are requested again."""
         autopilot = vehicle.identity.autopilot or ""
         found, looks = await _looked(heard, autopilot), 0
         while not found.enough and (left := LONGEST_S - (self._clock() - began)) > 0.0:
@@ -329,7 +329,7 @@ def _asked(asking: asyncio.Task[None], heard: _Heard) -> bool:
 
 
 async def _looked(heard: _Heard, autopilot: str) -> Gathered:
-    """How far the streams have come; messages are decoded beside the event loop."""
+    """Progress of the streams; messages are decoded outside the event loop."""
     return await asyncio.to_thread(gathered, tuple(heard.frames), autopilot)
 
 

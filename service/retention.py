@@ -29,7 +29,7 @@ HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Removable:
-    """A recording that may go: an upload, or a telemetry log that no link writes any more."""
+    """A recording that may be deleted: an upload, or a telemetry log that no link writes any more."""
 
     path: Path
     at: float
@@ -39,7 +39,7 @@ class Removable:
 
 @dataclass
 class Retention:
-    """Forgets what the settings say. `needed` names uploads, `open_files` telemetry logs, that must stay for now."""
+    """Deletes what the settings allow. `needed` are uploads, `open_files` telemetry logs, that must stay for now."""
 
     store: Store
     settings: RetentionSettings
@@ -77,7 +77,7 @@ class Retention:
         self.store.drop_old_keys(now - kept.keys_days * DAY_S, most=kept.keys)
 
     def _items(self, needed: set[str], held: set[Path]) -> list[Removable]:
-        """Everything that may go: no upload of a job or diagnosis, no log with a segment of any job."""
+        """Everything that may be deleted: no upload of a job or diagnosis, no log with a segment of any job."""
         uploads = [
             Removable(row.path, row.at, row.size, row.id) for row in self.store.recordings() if row.id not in needed
         ]

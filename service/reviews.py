@@ -1,4 +1,4 @@
-"""The plan of a job as a person reads it."""
+"""Review of a job's plan for a person."""
 
 from __future__ import annotations
 

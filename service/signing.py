@@ -28,11 +28,11 @@ class SigningAdmin:
         self._read_only = read_only
 
     async def all(self) -> tuple[KnownKey, ...]:
-        """Every key, without the key. Raises SigningKeyError if the file cannot be used."""
+        """Name and fingerprint of every key. Raises SigningKeyError if the file cannot be used."""
         return await asyncio.to_thread(self._keys.all)
 
     async def add(self, name: str, key: str | None, actor: str) -> KnownKey:
-        """Keep a key, None: a new one. Raises SigningKeyError if that cannot be."""
+        """Store a key; None: make a new one. Raises SigningKeyError if that fails."""
         known, _ = await asyncio.to_thread(self._keys.add, name, key)
         await audit(self._store, actor, "signing key added", known)
         return known

@@ -134,7 +134,7 @@ class SigningKeys:
         return dict(keys)
 
     def _write(self, keys: Mapping[str, str]) -> None:
-        """The whole file or the one before; never readable by others, not even while it is written."""
+        """Replace the file atomically; it is never readable by others, not even while it is written."""
         beside = self._path.with_suffix(".new")
         try:
             with suppress(FileNotFoundError):

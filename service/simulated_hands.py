@@ -26,7 +26,7 @@ log = structlog.get_logger(__name__)
 LOOK_S = 0.5
 """Period of the look at prompts, s."""
 MOMENT_S = 1.5
-"""How long a person reads a new prompt before the hands move."""
+"""Time that a person reads a new prompt before the hands move, s."""
 UNIT_WITHIN = 0.01
 """Largest departure of an attitude's length from 1: its digits were rounded on the way."""
 

@@ -1,4 +1,4 @@
-"""Tables as CSV that a spreadsheet opens without computing what stands in them."""
+"""Tables as CSV whose cells a spreadsheet does not evaluate."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import io
 from collections.abc import Iterable
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""How a cell begins that a spreadsheet would compute."""
+"""First characters of a cell that a spreadsheet would evaluate."""
 
 
 def inert(text: str) -> str:
-    """`text`, marked as text where a spreadsheet would run it as a formula: names come from whoever uploads."""
+    """`text`, marked as text if a spreadsheet would evaluate it as a formula: names come from uploaders."""
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 

@@ -1,4 +1,4 @@
-"""Which store the settings ask for: SQLite in the data directory, or a PostgreSQL database that instances share.
+"""The store that the settings name: SQLite in the data directory, or a PostgreSQL database shared by instances.
 
 What PostgreSQL needs is imported only where the settings name a database.
 """

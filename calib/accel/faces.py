@@ -30,7 +30,7 @@ _DOWN_AXES = {  # which body axis points down, and with which sign
     "nose_down": (0, 1.0),
     "nose_up": (0, -1.0),
 }
-"""MAVLink's ``ACCELCAL_VEHICLE_POS``: lying on its left side, the left side is down."""
+"""Body axis that points down, and its sign, by pose of MAVLink's ``ACCELCAL_VEHICLE_POS``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +94,12 @@ def directions_of(faces: Sequence[Face], U: Array, sign: float) -> tuple[Array, 
 
 
 def recognised_gravity(U: Array, gravity: float | None, convention: Convention) -> float | None:
-    """`gravity` if it is stated, else 1 or that of the convention, whichever is nearer; None: the readings are neither.
+    """`gravity` if stated, else 1 or that of the convention, whichever is nearer; None: the readings fit neither.
 
     Raises
     ------
     InvalidInputError
-        If a stated one is not positive.
+        If `gravity` is stated and not positive.
     """
     if gravity is not None:
         require_positive(gravity)

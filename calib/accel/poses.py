@@ -1,8 +1,8 @@
 """The accelerometer from gravity: poses in any direction, and one axis vertical.
 
-A still accelerometer tells the length of gravity alone, ``|C (m - b)| = g``: nine numbers, with C symmetric
-(METHODS 0, 3.3). Nobody holds a vehicle square by hand, so no direction is assumed anywhere here; six faces on a
-fixture are :mod:`calib.accel.six_face`.
+A still accelerometer tells the length of gravity alone, ``|C (m - b)| = g``: nine numbers, with C symmetric (METHODS 0,
+3.3). Nobody holds a vehicle square by hand, so no direction is assumed here; :mod:`calib.accel.six_face` fits six faces
+on a fixture.
 """
 
 from __future__ import annotations
@@ -65,8 +65,9 @@ def fit_poses(
 ) -> FitResult:
     """Offset and matrix of an accelerometer from the means of still poses, by ``|C (m - b)| = g``.
 
-    Maximum likelihood on the pose means: each residual is the distance from the ellipsoid in sensor units, weighted
-    by the variance of its mean along the normal; a Gaussian prior holds the cross terms where the poses do not tell.
+    Maximum likelihood on the pose means. Each residual is the distance from the ellipsoid in sensor units, weighted by
+    the variance of its mean along the normal. A Gaussian prior holds the cross terms where the poses do not determine
+    them.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def _nonsense(poses: Sequence[PoseMean], gravity: float | None) -> str:
 
 @dataclass(frozen=True)
 class _Open:
-    """Indices of what the poses leave open and of cross terms that the prior alone holds, and what would show them."""
+    """Indices of undetermined parameters and of cross terms held by the prior alone, with the missing movement."""
 
     unknown: list[int]
     crosses: list[int]
@@ -262,7 +263,7 @@ def _result(
 
 
 def residual_in(unit: str, model: TriadModel, lengths: Array, gravity: float) -> float:
-    """Rms, in the `unit` of the samples, of `lengths` (N,): what corrected poses miss gravity by, relative to it."""
+    """Rms residual in the `unit` of the samples; `lengths` (N,) are relative errors of the corrected length."""
     rms = gravity * math.sqrt(float((lengths**2).mean()))
     return rms if unit == "m/s2" else rms / float(np.cbrt(abs(np.linalg.det(model.matrix))))
 
@@ -281,7 +282,7 @@ def _names(indices: Sequence[int], form: str = "symmetric") -> tuple[str, ...]:
 
 
 def missing_faces(directions: Array) -> str:
-    """Instruction that names the faces that none of the felt `directions` (N, 3), unit vectors, shows."""
+    """Instruction that names the faces missing among the measured `directions` (N, 3), unit vectors."""
     missing = [
         _FACES[axis][side]
         for axis in range(3)
@@ -292,7 +293,7 @@ def missing_faces(directions: Array) -> str:
 
 
 def _movements(names: Sequence[str], movement: str) -> dict[str, str]:
-    """For each parameter that is open: the movement that would determine it."""
+    """For each undetermined parameter, the movement that would determine it."""
     crossed = {f"matrix_{a}{b}" for a in AXES for b in AXES if a != b}
     return {name: _OBLIQUE if name in crossed else movement for name in names}
 

@@ -1,7 +1,7 @@
 """Reference vectors of accelerometer and magnetometer at rest, and the attitude (METHODS S5).
 
 The means of a hundred samples serve as reference vectors. Down is against the specific force, east is across down and
-field: two vectors, one attitude (the triad). Nothing is calibrated by it: offsets of both sensors are in the answer.
+field: two vectors, one attitude (the triad). It calibrates nothing: the offsets of both sensors are part of the answer.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mavcal.calib.triad import TriadModel
 
 METHOD = "rest-reference"
 SAMPLES = 100
-"""Over which a reference vector is averaged."""
+"""Number of samples that a reference vector is averaged over."""
 
 NO_CALIBRATION = "a rest shows no offset and no matrix: turn the vehicle, with accel-multi and mag-ellipsoid"
 
@@ -37,7 +37,7 @@ _STEP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SensorTolerances:
-    """How well the sensors are known apart from their noise: standard deviation of an axis's offset, in its unit."""
+    """Standard deviation of each sensor's remaining offset per axis, in its own unit; noise is not included."""
 
     accel_sd: float = 0.0
     mag_sd: float = 0.0
@@ -49,7 +49,7 @@ NOISE_ALONE = SensorTolerances()
 def attitude_from_vectors(accel: Array, mag: Array | None) -> Array:
     """``R_nb`` (3, 3) by the triad of specific force (3,) and field (3,); its north is magnetic.
 
-    Without a field the body's nose is taken to point north, as far as it can.
+    Without a field, north is the horizontal direction nearest to the nose.
 
     >>> attitude_from_vectors(np.array([0.0, 0.0, -9.8]), np.array([0.0, -20.0, 45.0])).round(6) + 0.0
     array([[ 0., -1.,  0.],
@@ -90,9 +90,9 @@ def fit_rest_reference(
     mag
         At the same time, in the same axes, any unit. None: roll and pitch only.
     samples
-        Over which each vector is averaged: the first ones.
+        Number of samples that each vector is averaged over, from the first one.
     sensors
-        What the calibration of the sensors leaves; it is part of the uncertainty.
+        Offsets that the calibration of the sensors leaves; they are part of the uncertainty.
     field
         Its declination turns the magnetic heading into a true one. None: the heading is magnetic.
     relative
@@ -101,8 +101,8 @@ def fit_rest_reference(
     Returns
     -------
     FitResult
-        ``native`` holds the vectors and the attitude. The model is neutral and all of it undetermined: nothing of this
-        is written to a vehicle.
+        ``native`` holds the vectors and the attitude. The model is neutral and entirely undetermined: nothing is
+        written to a vehicle.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def _why_not(part: Channel, samples: int) -> str:
 def _implied(
     means: list[QuantisedMean], sensors: SensorTolerances, field: EarthField | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The attitude of the mean vectors with its uncertainty: what is native, and what is quality."""
+    """Attitude of the mean vectors, for ``native``, and its uncertainty, for ``quality``."""
     vector = np.concatenate([m.mean for m in means])
     spread = np.zeros((len(vector), len(vector)))
     for i, (mean, left) in enumerate(zip(means, (sensors.accel_sd, sensors.mag_sd), strict=False)):
@@ -210,7 +210,7 @@ def _attitude(vector: Array) -> Array:
 
 
 def _jacobian(vector: Array, function: Callable[[Array], Array]) -> Array:
-    """Derivative of a function that is zero at `vector`, each half in steps of its own length."""
+    """Central-difference derivative at `vector`; the step of each half is relative to its length."""
     sizes = np.repeat([np.linalg.norm(half) for half in vector.reshape(-1, 3)], 3)
     steps = _STEP * np.diag(sizes)
     columns = [
@@ -221,7 +221,7 @@ def _jacobian(vector: Array, function: Callable[[Array], Array]) -> Array:
 
 
 def _dip(vector: Array) -> tuple[float, float]:
-    """Dip of the field, degrees, and the share of it that is horizontal."""
+    """Dip of the field, degrees, and its horizontal fraction."""
     down = -vector[:3] / np.linalg.norm(vector[:3])
     field = vector[3:] / np.linalg.norm(vector[3:])
     horizontal = float(np.linalg.norm(np.cross(down, field)))

@@ -1,9 +1,9 @@
-"""Six faces on a fixture: known directions, so all twelve numbers of an accelerometer (METHODS S4, ``accelcal``).
+"""Six faces on a fixture: directions are known, which determines all 12 parameters (METHODS S4, ``accelcal``).
 
-``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``, as published. It regresses what is known
-on what is noisy, so single noisy samples shrink the answer by ``1 + 3 s^2/g^2``; face means do not. The forward form
-``U = t M^T + b`` has no such bias: half the difference of two faces is a column of M, as with six rings. Tilt of the
-fixture dominates everything (0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
+``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``, as published. The noisy readings are the
+regressors, so single samples shrink the matrix by ``1 + 3 s^2/g^2``; face means do not. The forward form ``U = t M^T +
+b`` has no such bias. Half the difference of two faces is a column of M, as with six rings. Tilt of the fixture
+dominates everything (0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def fit_six_face(
     Parameters
     ----------
     faces
-        Face means (best: single noisy samples shrink the answer), or single readings; every axis up and down.
+        Face means, or single readings, whose noise shrinks the matrix; every axis up and down.
     gravity : float or None
         In m/s2 or in g. None: 1 or the gravity of the convention (9.80665; accelcal: 9.81), whichever is nearer to
         the readings.
@@ -69,9 +69,9 @@ def fit_six_face(
     Returns
     -------
     FitResult
-        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``; the columns of the sensitivity, which are the forward
-        form together with the offset; the homogeneous 4 x 4 matrix; gravity and convention. The model is the same
-        correction: ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
+        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``. It also holds the columns of the sensitivity, which
+        with the offset are the forward form. The homogeneous 4 x 4 matrix, gravity and convention follow. The model is
+        the same correction: ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def _native(model: TriadModel, rows: _Rows, convention: Convention, form: Form) 
 
 
 def _shrinks(rows: _Rows, residual: Array, dof: int, sd: float) -> list[str]:
-    """What is said of the errors in the regressors: ``1 + 3 s^2/g^2`` for single readings of noise s (METHODS S4)."""
+    """A warning if noisy regressors shrink the matrix, by ``3 s^2/g^2`` for single readings of noise s (METHODS S4)."""
     if all(face.covariance is not None for face in rows.faces) or len(rows.faces) <= _FACES:
         return []
     shrink = 3.0 * float((residual**2).sum()) / dof / rows.g**2
@@ -207,7 +207,7 @@ class _Errors:
 
     @classmethod
     def of(cls, rows: _Rows, readings: Array, truths: Array, residual: Array) -> _Errors:
-        """`readings` and `truths` (3, 3) take errors of a reading and of a true vector to the regressed side."""
+        """Errors of `rows`; `readings` and `truths` (3, 3) map errors of readings and true vectors to the residual."""
         ways = np.vstack([np.eye(3), -np.eye(3)])
         members = (ways @ rows.T.T > 0.5 * rows.g).astype(np.float64)
         across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
@@ -221,14 +221,14 @@ class _Errors:
         return cls(noise, tilt, members, predicted=True)
 
     def spread(self, H: Array) -> Array:
-        """Covariance (12, 12) of ``H`` (4, K) times the rows, row by row."""
+        """Covariance (12, 12) of the solution ``H Y`` by rows, with H (4, K) and the regressed Y (K, 3)."""
         by_face = H @ self.members.T
         shared = np.einsum("af,bf,fij->aibj", by_face, by_face, self.tilt)
         own = np.einsum("ak,bk,kij->aibj", H, H, self.noise)
         return np.asarray((own + shared).reshape(12, 12), dtype=np.float64)
 
     def chi2(self, residual: Array, directions: Array) -> float:
-        """Squared residuals in units of their own covariance, over what four columns leave of the rows."""
+        """Chi-square of the residuals in the subspace orthogonal to the four regressors, with their full covariance."""
         X = np.column_stack([directions, np.ones(len(residual))])
         values, vectors = np.linalg.eigh(np.eye(len(X)) - X @ np.linalg.pinv(X))
         basis = vectors[:, values > 0.5]  # (K, K-4)
@@ -240,7 +240,7 @@ class _Errors:
 
 
 def _model_jacobian(A: Array, b: Array) -> tuple[Array, TriadModel]:
-    """Derivative of the model's twelve numbers by ``[A; b]`` (rows), and the model."""
+    """Derivative (12, 12) of the model's parameters by ``[A; b]`` (rows), and the model."""
     inverse = np.linalg.inv(A)  # offset^T = -b^T A^-1
     model = TriadModel(offset=-b @ inverse, matrix=A.T)
     jacobian = np.zeros((12, 12))
@@ -253,7 +253,7 @@ def _model_jacobian(A: Array, b: Array) -> tuple[Array, TriadModel]:
 
 
 def _forward_jacobian(solution: Array) -> tuple[Array, TriadModel]:
-    """Derivative of the model's twelve numbers by ``[M^T; b]`` (rows), and the model: ``dC = -C dM C``."""
+    """Derivative (12, 12) of the model's parameters by ``[M^T; b]`` (rows), and the model: ``dC = -C dM C``."""
     matrix = np.asarray(np.linalg.inv(solution[:3].T), dtype=np.float64)
     jacobian = np.zeros((12, 12))
     jacobian[:3, 9:] = np.eye(3)

@@ -17,42 +17,42 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 BAND_HZ: Final = (0.1, 2.0)
-"""Where gusts push a small multicopter. Source: AIRFRAME 2, 0.1 to 1 m/s2 rms below 2 Hz."""
+"""Frequency band, Hz, of gusts on a small multicopter. Source: AIRFRAME 2, 0.1 to 1 m/s2 rms below 2 Hz."""
 _ACROSS: Final = slice(0, 2)
-"""Axes in which gusts are looked for. Along the third, commands that were logged too slowly leave as much open."""
+"""Axes in which gusts are sought. Along the third, slowly logged commands leave a residual force of the same size."""
 _FLOOR: Final = 0.02
-"""m/s2 below which a flight's open force is not called turbulence. Source: the estimator's velocity error of 0.02 to
-0.05 m/s through a drag of 0.25 /s leaves 0.01 (AIRFRAME 5.3)."""
+"""Residual force, m/s2, below which it is not called turbulence. Source: an estimator velocity error of 0.02 to 0.05
+m/s times a drag of 0.25 /s leaves 0.01 (AIRFRAME 5.3)."""
 _LOUDER: Final = 2.0
-"""Times as much open force as in the simulated flight from which on the air is named. Chosen, not measured."""
+"""Ratio of the residual forces, real to simulated, above which turbulence is named. Chosen, not measured."""
 _SHARED: Final = 0.5
-"""Correlation of two units' open forces from which on both feel the same. Source: equal parts of common and own."""
+"""Correlation of two units' residual forces above which they are a common force. Source: equal common and own parts."""
 JUMP: Final = 0.35
 _TIMES: Final = 8.0
-"""m/s by which the estimator's velocity may differ from the integrated force over :data:`_OVER_S`, and times its median
-in the flight, before it counts as a jump. Measured: a real quad of 2013 stays below 0.32, simulated ones below 0.06."""
+"""Difference between the estimator's velocity change and the integrated force over :data:`_OVER_S` that is a jump: m/s,
+and multiples of its median in the flight. Measured: a real quad of 2013 stays below 0.32, simulated ones below 0.06."""
 _GLITCH_M: Final = 3.0
-"""m by which a place may differ from the one before and the velocity. Source: receivers without correction wander by a
-metre a second at most."""
+"""Difference, m, of a position from the previous one extrapolated by the velocity, above which it is a glitch. Source:
+receivers without correction wander by a metre a second at most."""
 _HOLE_S: Final = 1.5
-"""Longest step between places of the GPS, s, that is no hole of the log. Source: slow receivers send every second."""
+"""Longest step between GPS positions, s; a longer one is a gap of the log. Source: slow receivers send every second."""
 _FEWEST: Final = 10
 _OVER_S: Final = 0.4
 _AT_ONCE_S: Final = 0.2
 _MOST: Final = 0.7
-"""s within which a reset is over, and part of a jump that must be over by then. Chosen, not measured: two samples at 10
-Hz. An estimator that corrects its heading in a fast start errs by as much, and takes a second."""
+"""Duration of a reset, s, and fraction of a jump that must happen within it. Chosen, not measured: two samples at 10
+Hz. An estimator that corrects its heading during a fast start errs by as much, but over a second."""
 AROUND_S: Final = 1.5
 GLITCHED_S: Final = 5.0
-"""s around a jump of the estimator and of the GPS that are left out. Chosen, not measured: an estimator follows a wrong
-place for some seconds."""
+"""Time, s, on either side of a jump of the estimator, and of a glitch of the GPS, that is left out. Chosen, not
+measured: an estimator follows a wrong position for some seconds."""
 
 
 @dataclass(frozen=True)
 class Turbulence:
-    """Root mean square of the open force across the rotors' axis in :data:`BAND_HZ`, m/s2.
+    """Rms residual force perpendicular to the rotors' axis in :data:`BAND_HZ`, m/s2.
 
-    `shared` is the correlation of two units; None: there is one.
+    `shared` is the correlation of two units; None: there is only one.
     """
 
     real: float
@@ -61,17 +61,17 @@ class Turbulence:
 
     @property
     def louder(self) -> bool:
-        """Whether the real flight's open force is the louder one, and more than the model leaves open in calm air."""
+        """Whether the real flight's residual force is the larger one, and exceeds that of the model in calm air."""
         return self.real > max(self.sim, _FLOOR)
 
     @property
     def of_air(self) -> bool:
-        """Whether the real flight's air is the louder one by far, as far as units can tell."""
+        """Whether the real flight's air is far more turbulent; two units, where there are, must agree."""
         return self.louder and self.real > _LOUDER * self.sim and (self.shared is None or self.shared > _SHARED)
 
 
 def turbulence(flight: FlownFlight, open_force: Array, sim_flight: FlownFlight, sim_open_force: Array) -> Turbulence:
-    """Of the forces (N, 3) that the model leaves open in the real and the simulated flight; nan rows are left out."""
+    """Turbulence from the model's residual forces (N, 3) in the real and the simulated flight, without nan rows."""
     real = _banded(flight, open_force)[:, _ACROSS]
     shared = None
     for other in flight.others.values():
@@ -97,7 +97,7 @@ def _rms(values: Array, rows: Mask) -> float:
 class Jump:
     """The estimator's velocity changed by `size` m/s at `t` s, and no accelerometer felt it.
 
-    `sudden`: within two samples, as by a reset; else the estimator drifted, and these samples are only left out.
+    `sudden`: within two samples, as in a reset; else the estimator drifted, and the samples are only left out.
     """
 
     t: float
@@ -106,9 +106,9 @@ class Jump:
 
 
 def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
-    """Where velocity and integrated force part: resets of the estimator, glitches of the GPS.
+    """Jumps where velocity and integrated force diverge: resets of the estimator, glitches of the GPS.
 
-    Not across a hole of the log, where neither is known.
+    Gaps of the log are skipped, since neither is known there.
     """
     local = np.einsum("nji,nj->ni", body, flight.force) + np.array([0.0, 0.0, flight.gravity])
     speed = np.cumsum(local, axis=0) / flight.fs
@@ -129,9 +129,9 @@ def jumps(flight: FlownFlight, body: Array) -> tuple[Jump, ...]:
 
 
 def glitches(recording: Recording, since: float, until: float) -> tuple[Jump, ...]:
-    """Where places of the GPS part from its own velocity; `size` in m.
+    """Jumps where GPS positions diverge from the GPS velocity; `size` in m.
 
-    Its velocity comes from the carriers' frequency and knows nothing of an error of the place.
+    The velocity comes from the carriers' Doppler shift, independent of position errors.
     """
     found: list[Jump] = []
     for place in (c for c in recording.channels if c.sensor == Sensor.POSITION):
@@ -151,7 +151,7 @@ def glitches(recording: Recording, since: float, until: float) -> tuple[Jump, ..
 
 
 def _metres(degrees: Array) -> Array:
-    """Places (N, 2) in m north and east of the first, from latitude and longitude (N, 3)."""
+    """Positions (N, 2) in m north and east of the first, from latitude and longitude (N, 3)."""
     north, east = np.radians(degrees[:, :2] - degrees[:1, :2]).T * SEMI_MAJOR_AXIS_M
     return np.column_stack([north, east * np.cos(np.radians(degrees[0, 0]))])
 

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Domain(StrEnum):
-    """Where an effect sits."""
+    """Part of the system that an effect belongs to."""
 
     SENSOR = "sensor"
     AIRFRAME = "airframe"
@@ -29,7 +29,7 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True)
 class Motor:
-    """Where a motor sits, in arms (body x forward, y right; the longest arm is 1), and which way it turns.
+    """Position of a motor, in arms (body x forward, y right; the longest arm is 1), and its direction of rotation.
 
     `spin` is +1 where the reaction turns the vehicle clockwise seen from above (torque about +z): a propeller that
     turns counter-clockwise.
@@ -42,7 +42,7 @@ class Motor:
 
 @dataclass(frozen=True)
 class Geometry:
-    """The motors in the order of their outputs. `source` says whence: ``parameters``, ``user`` or ``assumed``."""
+    """The motors in the order of their outputs. `source` is ``parameters``, ``user`` or ``assumed``."""
 
     frame_class: str
     frame_type: str
@@ -52,10 +52,10 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Commands:
-    """Whence the motors' commands come, and how good they are.
+    """Source of the motors' commands, and how good they are.
 
     `check_us` is the median difference from the logged outputs, us; None: nothing to check against. `masked` is the
-    part of the flight that is left out because an output was at its limit.
+    fraction of the flight that is left out because an output was at its limit.
     """
 
     source: str
@@ -66,7 +66,7 @@ class Commands:
 
 @dataclass(frozen=True)
 class RolloutStep:
-    """Error of the predicted flight once this effect is added to the ones before (unit of its rollout)."""
+    """Error of the predicted flight with this effect and the previous ones, in the unit of its rollout."""
 
     add: str
     error: float
@@ -76,9 +76,9 @@ class RolloutStep:
 class Rollout:
     """Root mean square error of the predicted flight after `h_s` seconds from a measured start, on held-out data.
 
-    `before`: the simulator as it is; `after`: with the effects; `floor`: with the measured force or torque instead of
-    a model. `closed` is (before - after) / (before - floor) with its 95 % interval, None where it says nothing.
-    `part` says what was held out: ``blocks`` or the name of a kind of manoeuvre.
+    `before`: the simulator as it is; `after`: with the effects; `floor`: with the measured force or torque instead of a
+    model. `closed` is (before - after) / (before - floor) with its 95 % interval, None where it is not meaningful.
+    `part` is what was held out: ``blocks`` or the name of a kind of manoeuvre.
     """
 
     h_s: float
@@ -95,7 +95,7 @@ class Rollout:
 
 @dataclass(frozen=True, eq=False)
 class AirframeTrace:
-    """Force (m/s2) or torque (rad/s2) of a flight beside what the model says; for plots, not part of the JSON.
+    """Measured and modelled force (m/s2) or torque (rad/s2) of a flight; for plots, not part of the JSON.
 
     `t` (N,), s; the others (N, 3): `real` measured, `sim` what the simulator's airframe would have done at the same
     commands, `patched` the same with the effects; rows without a sample are nan.
@@ -111,17 +111,16 @@ class AirframeTrace:
 
 @dataclass(frozen=True, eq=False)
 class AirframePart:
-    """What a report says of airframe and air beside the effects themselves.
+    """The part of a report about airframe and air, without the effects.
 
-    `manoeuvres` are what to fly so that rivals part; `centre_of_gravity` (x, y) in arms where it shifted; `traces` are
-    for plots.
+    `manoeuvres` would tell rivals apart; `centre_of_gravity` (x, y) in arms where it shifted; `traces` are for plots.
     """
 
     geometry: Geometry | None = None
     commands: Commands | None = None
     rollout: tuple[Rollout, ...] = ()
     wind: tuple[float, float] | None = None
-    """North and east, m/s, where the air moves to; None: not known."""
+    """Velocity of the air north and east, m/s; None: not known."""
     manoeuvres: tuple[str, ...] = ()
     traces: tuple[AirframeTrace, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Thrust command c of each motor, 0..1 after the spin range, at the rate that the log allows.
+"""Thrust command c of each motor, 0..1 within the spin range, at the highest rate in the log.
 
 ArduPilot logs its outputs at 10 Hz only, but the inputs of its mixer at loop rate. The outputs are rebuilt from these
 (``AP_MotorsMatrix.cpp``, ``AP_Motors_Thrust_Linearization.cpp``; AIRFRAME 3.1) and checked against the logged ones.
@@ -24,16 +24,17 @@ Mask = NDArray[np.bool_]
 
 PWM_SPAN_US: Final = 1000.0
 AGREES_US: Final = 5.0
-"""Median difference from the logged outputs, us, up to which a rebuilt mixer is believed. Chosen, not measured: half a
-per cent of the range; two simulated flights had 0.5 us."""
+"""Largest median difference from the logged outputs, us, of an accepted rebuilt mixer. Chosen, not measured: half a per
+cent of the range; two simulated flights had 0.5 us."""
 _WHOLE_US: Final = 1.0
-"""The same, up to which nothing else is tried, and a fitted density is believed. Source: outputs are logged in whole
+"""The same, below which no alternative is tried and a fitted density is accepted. Source: outputs are logged in whole
 microseconds."""
 _LEAST_CHECKED: Final = 50
-"""Logged outputs below which a rebuilt mixer is not checked, and not believed. Chosen, not measured: five seconds."""
+"""Least number of logged outputs to check a rebuilt mixer; with fewer it is not accepted. Chosen, not measured: five
+seconds."""
 _AT_LIMIT: Final = 1e-3
 _DENSITY: Final = (0.5, 1.25)
-"""Ends of the density ratio that the mixer corrects for (``AP_Motors_Thrust_Linearization.cpp``)."""
+"""Limits of the density ratio that the mixer corrects for (``AP_Motors_Thrust_Linearization.cpp``)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class MotorCommands:
 
 
 def commands_of(recording: Recording, geometry: Geometry) -> MotorCommands | None:
-    """The fastest commands that can be believed; None: the recording has none of that many motors."""
+    """The fastest credible commands; None: the recording has none for that many motors."""
     parameters = recording.parameters.final()
     count = len(geometry.motors)
     logged = _logged(recording, parameters, count)
@@ -87,7 +88,7 @@ def _logged(recording: Recording, parameters: Mapping[str, float], count: int) -
 
 
 def _spin_range(parameters: Mapping[str, float]) -> tuple[float, float]:
-    """Parts of the pulse range between which a flying motor runs; without these parameters, all of it."""
+    """Fractions of the pulse range between which a motor runs in flight; 0 and 1 without these parameters."""
     return float(parameters.get("MOT_SPIN_MIN", 0.0)), float(parameters.get("MOT_SPIN_MAX", 1.0))
 
 
@@ -102,7 +103,7 @@ def _inverted(thrust: Array, factor: float) -> Array:
 def _rebuilt(
     recording: Recording, parameters: Mapping[str, float], geometry: Geometry, logged: MotorCommands | None
 ) -> MotorCommands | None:
-    """Commands at the rate of RATE; None where inputs are missing or the logged outputs deny them."""
+    """Commands at the rate of RATE; None where inputs are missing or the logged outputs contradict them."""
     control, mixer = (_dynamic(recording, s) for s in (Sensor.CONTROL, Sensor.MIXER))
     if control is None or mixer is None or logged is None or len(control) < 2 * len(logged.t):
         return None
@@ -123,7 +124,7 @@ def _rebuilt(
 
 
 def _apart(commands: MotorCommands) -> float:
-    """How far rebuilt commands are from logged outputs, us."""
+    """Difference of rebuilt commands from logged outputs, us."""
     return np.inf if commands.check_us is None else commands.check_us
 
 
@@ -133,7 +134,7 @@ def _dynamic(recording: Recording, sensor: Sensor) -> Channel | None:
 
 
 def _densities(recording: Recording) -> tuple[float, ...]:
-    """Density ratios that the mixer may have corrected for: none, or that of the standard atmosphere at the place."""
+    """Density ratios that the mixer may have corrected for: none, or the standard atmosphere's at the altitude."""
     places = recording.find(Sensor.POSITION)
     if not places:
         return (1.0,)

@@ -1,7 +1,8 @@
 """Density of the air in both flights, from pressure and temperature, or from the altitude.
 
 Thrust and drag are proportional to it (AIRFRAME 2). Where the densities differ beyond their errors, an effect of that
-size is expected. Where they may be equal, density competes with nothing: it is a rival of a thrust that it explains.
+size is expected. Where they may be equal, density does not compete: it is listed as a rival of a thrust that it
+explains.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ ID: Final = "air_density"
 _GAS: Final = 287.05
 _ZERO_C: Final = 273.15
 _LAPSE, _SEA_LEVEL_K, _SEA_LEVEL_PA, _SEA_LEVEL, _POWER = 0.0065, 288.15, 101325.0, 1.225, 4.2559
-"""Gas constant of air, J/(kg K), and the standard atmosphere of 1976: fall of the temperature, K/m, its value at sea
-level, pressure and density there, and the power of density in temperature."""
+"""Gas constant of air, J/(kg K), and the standard atmosphere of 1976: temperature lapse rate, K/m; temperature,
+pressure and density at sea level; exponent of density in temperature."""
 _WARMER: Final = (10.0, 6.0)
-"""K by which a barometer on its board is warmer than the air, and its standard deviation. Chosen, not measured."""
+"""Excess temperature, K, of a barometer on its board over the air, and its standard deviation. Chosen, not measured."""
 _BY_ALTITUDE: Final = 0.04
 """Relative error where only the altitude is known. Source: days 12 K from the standard atmosphere."""
 _SIMULATED: Final = 0.003
 """The same for ArduPilot's simulator, which flies in the standard atmosphere. Source: AIRFRAME 4.1; GPS altitude."""
 _APART: Final = 2.0
-"""Errors by which two densities must differ so that the effect is expected. Source: 95 %."""
+"""Standard errors by which two densities must differ for the effect to be expected. Source: 95 %."""
 _ALIKE: Final = 0.015
 _VAGUE: Final = 0.05
 """Relative difference below which two densities count as equal, and error above which their ratio is not known.
@@ -73,7 +74,7 @@ class Densities:
         return Missing(ID, f"the densities in both flights agree to within {100.0 * within:.0f} %", _FURTHER)
 
     def explains(self, excess: float, sd: float) -> bool:
-        """Whether a thrust with this relative excess and error may come from the air alone."""
+        """Whether the air alone explains a thrust with this relative excess and error."""
         return abs(excess - self.excess) < _APART * float(np.hypot(sd, self.sd))
 
 

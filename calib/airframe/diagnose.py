@@ -1,4 +1,4 @@
-"""Two flights to an answer: commands, grid, fits, one posterior over effects, and how far the flight is predicted."""
+"""From two flights to an answer: commands, grid, fits, one posterior over effects, and prediction errors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ from mavcal.calib.recording import Recording
 Array = NDArray[np.float64]
 
 _FULL: Final = 99.0
-"""Percentile of a flight's voltage that is a full battery's. Chosen, not measured: it is so before take-off."""
+"""Percentile of a flight's voltage taken as that of a full battery. Chosen, not measured: it is reached before
+take-off."""
 LIKELY: Final = 0.9
 """Probability from which an effect is reported. Chosen, not measured: a name makes its owner replace a part,
 a warning only another flight."""
@@ -57,7 +58,7 @@ _MORE_ROUNDS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class _Flight:
-    """One recording made ready."""
+    """One recording, prepared for the fit."""
 
     flight: FlownFlight
     parameters: dict[str, float]
@@ -76,7 +77,7 @@ def airframe_gap(
     ended: Callable[[], bool] = lambda: False,
     estimator: Callable[[Recording], EstimatorError | None] = lambda _: None,
 ) -> AirframeAnswer | NoAirframe:
-    """What the real vehicle's airframe, actuators and air have beside the simulated ones.
+    """Differences of the real vehicle's airframe, actuators and air from the simulated ones.
 
     Parameters
     ----------
@@ -87,9 +88,9 @@ def airframe_gap(
     frame
         A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
     ended
-        Whether time is up: the best answer so far is given.
+        Whether time is up; the best answer so far is then returned.
     estimator
-        How far a recording's own velocity and attitude are off; None where nothing better is known.
+        Error of a recording's own velocity and attitude; None where nothing better is known.
     """
     made = []
     for which, recording in (("real", real), ("simulated", sim)):
@@ -107,10 +108,10 @@ def airframe_gap(
 def airframe_alone(
     real: Recording, *, frame: str | None = None, estimator: EstimatorError | None = None
 ) -> AirframePart | NoAirframe:
-    """What one flight says of its airframe without a simulator: its numbers, and how far they predict it.
+    """Airframe parameters from one flight without a simulator, and their prediction errors.
 
-    Before: thrust that balances gravity at the hover's command, and nothing else. Errors are of held-out stretches.
-    `estimator`: how far the recording's own velocity and attitude are off, where that is known.
+    `before` has only the thrust that balances gravity at the hover command. Errors are those of held-out stretches.
+    `estimator`: error of the recording's own velocity and attitude, where it is known.
     """
     one = _ready(real, frame, estimator)
     if isinstance(one, NoAirframe):
@@ -162,11 +163,11 @@ def _ready(recording: Recording, frame: str | None, estimator: EstimatorError | 
 
 
 _OF_SITL: Final = (Kind(yaw_by_command=True), Kind(yaw_by_command=True, drag_turns=False))
-"""ArduPilot's simulator, of now and of 2023."""
+"""ArduPilot's simulator, the present one and that of 2023."""
 
 
 def _kinds(sim: _Flight) -> tuple[Kind, ...]:
-    """How the simulator may make its forces; several are told apart by its own flight."""
+    """Force models that the simulator may use; its own flight decides between several."""
     if sim.flight.ardupilot and any(name.startswith("SIM_") for name in sim.parameters):
         return _OF_SITL
     if any(name.startswith("SIH_") for name in sim.parameters):
@@ -183,7 +184,7 @@ def _likelihood(one: _Flight, kind: Kind, volts: float | None, *, torque: bool) 
 
 
 def _full(one: _Flight) -> float:
-    """Voltage of a full battery, V: there, thrust is stated, so that a battery that sags is no weaker thrust."""
+    """Voltage of a full battery, V, at which thrust is stated: a sagging battery must not look like weaker thrust."""
     return float(np.percentile(one.flight.voltage, _FULL))
 
 
@@ -224,7 +225,7 @@ def _diagnosed(
 
 
 def _best_kind(sim: _Flight, volts: float | None, *, torque: bool) -> tuple[Side, Kind]:
-    """The simulated flight with the kind that suits it best; each is fitted from the first one's best point."""
+    """The simulated flight with the kind that fits it best; each fit starts at the best point of the first."""
     kinds = _kinds(sim)
     first = _likelihood(sim, kinds[0], volts, torque=torque)
     best = by_itself(first)
@@ -309,7 +310,7 @@ def _answer(
 def _beside_thrust(
     found: Sequence[FoundEffect], real: _Flight, sim: _Flight, side: Side, untestable: Sequence[Missing]
 ) -> tuple[str, ...]:
-    """Effects that were not tested and may be the whole difference of a thrust that was found."""
+    """Untested effects that may explain a thrust difference that was found entirely."""
     thrust = next((f.values[0] for f in found if f.id == "thrust_scale"), None)
     if thrust is None:
         return ()
@@ -325,7 +326,7 @@ def _beside_thrust(
 
 
 def _unnamed(answer: Answer, found: Sequence[FoundEffect], *, gusty: bool) -> tuple[str, float, float]:
-    """What has no name, its share of the evidence, and how probable it is."""
+    """Text of the nameless effects, their share of the evidence, and their probability."""
     of_air = {g.id for g in GROUPS if g.of_air or (gusty and g.of_gusts)}
     if any(f.id == GROUND for f in found):
         of_air.add("height_force")  # the same force, seen from above
@@ -352,7 +353,7 @@ def _lost(answer: Answer, name: str) -> float:
 
 
 def _facts(side: Side) -> dict[str, float]:
-    """Numbers of the real airframe by themselves, for whoever wants to know them."""
+    """Parameters of the real airframe, for display."""
     of_turns = ("gain_x", "gain_y", "gain_z", "damping_x", "damping_y")
     names = ("k", "expo", "c1", "cz", "c2_x", "c2_y", *(of_turns if side.likelihood.torque else ()))
     return {name: float(f"{side.fit.value(name):.4g}") for name in names}

@@ -1,7 +1,7 @@
 """The catalogue: each effect of airframe, actuators and air, and what it does to the parameters of a flight.
 
 An effect has amplitudes; it multiplies, divides or shifts parameters of :class:`calib.airframe.physics.Layout`. What
-the simulator's flight has too is no gap: amplitudes are those of the real flight beside the simulated one.
+the simulator's flight shows too is not a gap: amplitudes are those of the real flight relative to the simulated one.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Change:
 
 @dataclass(frozen=True)
 class AirframeEffect:
-    """One block of the contest.
+    """One candidate block of effects.
 
     `id` is the effect's name in a report, `block` that of this form of it. `names` and `sd` are the amplitudes and
-    their prior standard deviations; `base` the parameter whose ratio or difference is the claim. `odds` are those of
-    its presence before a flight is seen.
+    their prior standard deviations; `base` the parameters whose ratios or differences are reported. `odds` are the
+    prior odds that it is present.
     """
 
     id: str
@@ -65,9 +65,9 @@ class AirframeEffect:
     torque: bool = False
     """Whether only torque shows it."""
     mean: float = 0.0
-    """Prior mean of every amplitude, where the logs state one beside the flights."""
+    """Prior mean of every amplitude, where the logs state one."""
     axes: frozenset[str] = frozenset()
-    """Axes that have to turn, each of them, so that it shows."""
+    """Axes about all of which the vehicle must turn for the effect to show."""
     sides: tuple[float, float] | None = None
     """The parameter in the real and in the simulated flight, where the logs state it."""
 
@@ -75,13 +75,13 @@ class AirframeEffect:
 FORMS: Final[Mapping[str, str]] = {"thrust_scale": "thrust", "thrust_by_lift": "lift", "thrust_by_mass": "mass"}
 """Block to cause, for an effect whose causes a report distinguishes."""
 ODDS: Final = 0.05
-"""Of each effect before a flight is seen. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of
-about one."""
+"""Prior odds of each effect. Source: mixtures of one to four of twenty effects (AIRFRAME 6) have a mean of about
+one."""
 
 
 BODY_DRAG: Final[tuple[str, ...]] = ("c2_x", "c2_y")
 STEPS: Final = 50.0
-"""Moments at which a load may be dropped in a flight of two minutes: all are tried. Source: one in two seconds."""
+"""Number of times at which a load drop is tried in a flight of two minutes. Source: one in two seconds."""
 IDS: Final = frozenset(
     {
         "thrust_scale", "thrust_expo", "rotor_drag", "body_drag", "inflow", "translational_lift", "inertia",
@@ -90,7 +90,7 @@ IDS: Final = frozenset(
         "payload_step", "wind", "air_density",
     }
 )  # fmt: skip
-"""Every name that the catalogue can give."""
+"""Every effect id of the catalogue."""
 
 
 def catalogue(layout: Layout, kind: Kind, hover_gain: Sequence[float]) -> tuple[AirframeEffect, ...]:
@@ -109,7 +109,7 @@ def catalogue(layout: Layout, kind: Kind, hover_gain: Sequence[float]) -> tuple[
 
 def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[AirframeEffect]:
     relative, plus = Act.TIMES, Act.PLUS
-    # what the rotors' own inertia does stays when their thrust or their torque changes
+    # the effect of the rotors' inertia does not change with their thrust or torque
     reaction = Change(0, "spin_up", Act.OVER)
     gains = (*(Change(0, f"gain_{a}", relative) for a in AXES), reaction)
     yield _one("thrust_scale", "s", 0.2, (Change(0, "k", relative), *gains), "k", exclusive="thrust")
@@ -119,7 +119,7 @@ def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[Airfram
             "thrust_scale", "thrust_by_lift", ("s",), (0.2,), lift, ("k",), odds=ODDS / 2.0, exclusive="thrust",
             torque=True,
         )  # fmt: skip
-    # another mass scales every force; what goes with the rotors' speed goes with its root; other torques stay
+    # the mass scales every force; terms in the rotors' speed scale with its root; other torques stay
     linear = 0.5 if kind.drag_by_rotor else 1.0
     whole, turned = ((n, 1.0) for n in (*BODY_DRAG, "ch")), (("flap_x", -0.5), ("flap_y", -0.5))
     shares = (("c1", linear), ("cz", linear), *whole, *turned)
@@ -194,9 +194,9 @@ def _made(layout: Layout, kind: Kind, gain: Sequence[float]) -> Iterator[Airfram
 
 
 def of_density(both: Densities, *, rotors_damp: bool) -> AirframeEffect:
-    """Another density of the air: it scales all forces of the air, and the rotors' drag by its root.
+    """Effect of a different air density: it scales all aerodynamic forces, and the rotors' drag by its square root.
 
-    Rotors that carry the same weight in denser air turn more slowly, by the root of the density.
+    In denser air, rotors carry the same weight at a speed lower by the square root of the density.
     """
     whole = ("k", *(f"gain_{a}" for a in AXES), *BODY_DRAG, "ch", "climb")
     damped = (*(f"damping_{a}" for a in AXES), "flap_x", "flap_y") if rotors_damp else ()
@@ -242,7 +242,7 @@ def _one(
 
 
 def _inertia(axes: str) -> AirframeEffect:
-    """The moment of inertia of one axis, or of roll and pitch alike: it divides whatever turns the vehicle."""
+    """The moment of inertia of one axis, or of roll and pitch together: it divides all torques about it."""
     changes = tuple(
         Change(0, f"{what}_{a}", Act.OVER) for a in axes for what in ("gain", "damping", "torque", "flap")
         if not (what == "flap" and a == "z")

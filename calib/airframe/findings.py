@@ -25,13 +25,12 @@ from mavcal.calib.inference.search import Answer
 Array = NDArray[np.float64]
 
 TRIM: Final = 0.04
-"""Part of itself to which a motor's loss or a shift of the centre of mass is told: both are read from trims through the
-slope of the thrust curve. Measured: 1.4 and 3 % on two simulated flights, 0 to 8 % with foreign physics."""
+"""Relative error of a motor's loss or a shift of the centre of mass: both follow from trims through the slope of the
+thrust curve. Measured: 1.4 and 3 % on two simulated flights, 0 to 8 % with foreign physics."""
 RIVAL: Final = 0.01
-"""Probability from which another effect in the place of a found one is told. Source: GAP 6, the truth is in the set in
-99 of 100."""
+"""Least probability of a listed rival. Source: GAP 6, the truth is in the set in 99 of 100."""
 EVEN_ODDS: Final = 0.5
-"""Probability from which an unnamed effect becomes a warning. Above it, the likeliest of several competing effects is
+"""Probability above which an unnamed effect becomes a warning. Above it, the likeliest of several competing effects is
 reported. Source: even odds."""
 _UNITS: Final = {
     "k": "m/s2", "c1": "1/s", "c2_x": "1/m", "cz": "1/s", "ch": "1/m", "tau": "s", "fall": "s", "delay": "s",
@@ -64,10 +63,10 @@ def effects_of(
     least: float,
     beside: Sequence[FoundEffect] = (),
 ) -> tuple[FoundEffect, ...]:
-    """Every effect of `tested` whose probability is `least` or more, the one of most evidence first.
+    """Every effect of `tested` with a probability of `least` or more, in the order of evidence.
 
-    If the others together reach `least` and none does alone, the likeliest of them is reported with its rivals.
-    `beside` are effects that were judged on other rows of the flight.
+    If the others reach `least` only together, the likeliest of them is reported with its rivals. `beside` are effects
+    that were judged on other rows of the flight.
     """
     by_block = {e.block: e for e in evidence.effects}
     ids = _by_name(tested)
@@ -110,7 +109,7 @@ def _by_name(effects: Sequence[AirframeEffect]) -> _Named:
 
 
 def _likely(answer: Answer, ids: _Named, least: float) -> set[tuple[str, int | None]]:
-    """Effects with a probability of `least`, and the likeliest of the others if these reach it together."""
+    """Effects with a probability of `least` or more, and the likeliest of the others if these reach it together."""
     chances = {name: answer.probability(*(f.block for f in forms)) for name, forms in ids.items()}
     likely = {name for name, chance in chances.items() if chance >= least}
     rest = {name: chances[name] for name, forms in ids.items() if name not in likely and _of_airframe(forms[0])}
@@ -126,7 +125,7 @@ def _of_airframe(effect: AirframeEffect) -> bool:
 
 
 def with_rivals(found: Sequence[FoundEffect], ids: Sequence[str]) -> tuple[FoundEffect, ...]:
-    """A thrust scale with rivals that these flights cannot test: each is as likely as the thrust itself."""
+    """`found`, its thrust scale with untestable effects `ids` as rivals, each as likely as the thrust itself."""
     rivals = tuple(FoundRival(id_, 0.5, 0.0, FIXES[id_]) for id_ in ids)
     return tuple(replace(f, rivals=(*f.rivals, *rivals)) if f.id == "thrust_scale" else f for f in found)
 
@@ -134,7 +133,7 @@ def with_rivals(found: Sequence[FoundEffect], ids: Sequence[str]) -> tuple[Found
 def probabilities(
     answer: Answer, effects: Sequence[AirframeEffect], beside: Sequence[FoundEffect] = ()
 ) -> dict[str, float]:
-    """Probability of each effect by id, highest first; for a motor's effect, that any motor has it."""
+    """Probability of each effect by id, highest first; for an effect of single motors, that any motor has it."""
     blocks: dict[str, list[str]] = {}
     for effect in effects:
         if not effect.nameless:
@@ -147,7 +146,7 @@ def probabilities(
 def doubtful(
     answer: Answer, effects: Sequence[AirframeEffect], *, least: float, most: float, beside: Sequence[FoundEffect] = ()
 ) -> tuple[str, ...]:
-    """Effects whose probability lies between: too likely to be left out, too doubtful to be set."""
+    """Sentences on effects with a probability from `least` to `most`: too likely to omit, too doubtful to name."""
     ids = _by_name([e for e in effects if _of_airframe(e)])
     told = _likely(answer, ids, most)
     left = {name: forms for name, forms in ids.items() if name not in told}
@@ -165,7 +164,7 @@ def doubtful(
 def latent(
     answer: Answer, effects: Sequence[AirframeEffect], untestable: Sequence[Missing], *, least: float
 ) -> tuple[str, ...]:
-    """Effects of that probability that these flights are too poor to name."""
+    """Sentences on effects with a probability of `least` or more that these flights cannot show well enough to name."""
     found = {}
     for missing in untestable:
         chance = answer.probability(*(e.block for e in effects if e.id == missing.id))
@@ -178,7 +177,7 @@ def latent(
 
 
 def lost_without(answer: Answer, blocks: Sequence[str]) -> float:
-    """Nats that the best model loses without these blocks, its other blocks as they are."""
+    """Log evidence, nats, that the best model loses without these blocks, the others unchanged."""
     without = answer.best.model - frozenset(blocks)
     return max(answer.best.posterior.log_evidence - answer.evidence.posterior(without).log_evidence, 0.0)
 
@@ -186,7 +185,7 @@ def lost_without(answer: Answer, blocks: Sequence[str]) -> float:
 def _rivals(
     answer: Answer, by_block: dict[str, AirframeEffect], forms: Sequence[AirframeEffect], id_: str
 ) -> tuple[FoundRival, ...]:
-    """Other effects in kept models without this one."""
+    """Rivals: effects in kept models without this one."""
     own = {f.block for f in forms}
     with_it = max((v.log_weight for v in answer.kept if v.model & own), default=-math.inf)
     found: dict[str, tuple[float, float]] = {}
@@ -239,14 +238,14 @@ def _values(
 
 
 def _density(sides: tuple[float, float], value: float, sd: float) -> tuple[FoundValue, ...]:
-    """The ratio, and the altitude at which the standard atmosphere of a simulator is as dense."""
+    """Density ratio, and the altitude at which a simulator's standard atmosphere has the real density."""
     low, high, at = (altitude_of(sides[1] * (1.0 + value + step)) for step in (-sd, sd, 0.0))
     ratio = FoundValue("s", value, sd, "1", relative=True, real=sides[0], sim=sides[1])
     return ratio, FoundValue("altitude", at, 0.5 * abs(high - low), "m", sim=altitude_of(sides[1]))
 
 
 def _beside(theta: Array, place: Mapping[str, int], base: str) -> float:
-    """Lag of a rising command, s: `fall` is stated beyond it."""
+    """Value, s, to add to `fall`, which is relative to the lag of a rising command; 0 for other parameters."""
     return float(theta[place["tau"]]) if base == "fall" else 0.0
 
 

@@ -1,7 +1,7 @@
-"""One flight against the forward model: Gauss-Newton in whitened cosine bins, and what it says of every parameter.
+"""Fit of the forward model to one flight, by Gauss-Newton steps in whitened cosine bins.
 
-The residual's own spectrum whitens it (Whittle): turbulence, the estimator's errors and the noise of the sensors are
-learned, not declared. The result is a :class:`FlightFit`, the log-likelihood about the best point.
+The residual is whitened by its own spectrum (Whittle): turbulence, estimator errors and sensor noise are learned, not
+declared. The result is a :class:`FlightFit`, the log-likelihood about the best point.
 """
 
 from __future__ import annotations
@@ -28,41 +28,40 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FORCE_BAND_HZ: Final = 10.0
-"""Source: AIRFRAME 5.3, above lies vibration."""
+"""Highest frequency, Hz, at which force is judged. Source: AIRFRAME 5.3, above lies vibration."""
 SLOW_HZ: Final = 0.1
-"""Below this a torque is a trim, and is judged over the whole flight; above it, only while the vehicle is made to turn.
+"""Frequency, Hz, below which torque is a trim and is judged over the whole flight; above, only during commanded turns.
 Chosen, not measured: turns last a second or two."""
 _USUAL_S: Final = 2.0
 _EXCITED: Final = 8.0
-"""Times the usual change of the differential commands from which on a turn is commanded. Chosen, not measured: far
-beyond what gusts make the controller do."""
+"""Multiple of the usual change of the differential commands that is a commanded turn. Chosen, not measured: far beyond
+the controller's reaction to gusts."""
 _TURN_S: Final = 0.4
-"""Widening of a commanded turn on either side: what the vehicle does after it. Chosen, not measured."""
+"""Time, s, added on either side of a commanded turn for the vehicle's response. Chosen, not measured."""
 _ROUNDS, _WHITE_ROUNDS = 8, 4
-"""Rounds at most, and those with one variance a channel, before its spectrum is learned."""
+"""Most rounds, and those with one variance per channel before its spectrum is learned."""
 _SHORTEST: Final = 0.01
-"""Part of a step below which the point stands."""
+"""Fraction of a step below which the search along it stops."""
 _NEAR: Final = 2.0
-"""Standard errors from the best point from which on the spectrum can be learned. Chosen, not measured."""
+"""Distance from the best point, in standard errors, below which the spectrum is learned. Chosen, not measured."""
 _CONVERGED: Final = 0.02
-"""Change of the best point, in standard errors, below which it stands."""
+"""Change of the best point, in standard errors, below which the fit has converged."""
 _WINDOW: Final = 0.15
-"""Part of a frequency over which a spectrum is averaged on either side. Chosen, not measured."""
+"""Half width of the averaging of a spectrum, relative to the frequency. Chosen, not measured."""
 _LEAST_BINS: Final = 8
 _HEARD, _HEARD_HZ = 2.0, 2.0
-"""Times the gyroscope's noise up to which turns are judged (commands that answer noise look like a reaction of the
-rotors), and Hz up to which they always are. Chosen, not measured."""
+"""Turns are judged where they exceed this multiple of the gyroscope's noise, and always below the second value, Hz. The
+controller's response to noise looks like a reaction of the rotors. Chosen, not measured."""
 _OCTAVES: Final = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
-"""Hz between which a residual is compared with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
+"""Band edges, Hz, for the comparison of a residual with that noise. Source: octaves below `TORQUE_BAND_HZ`."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A part of force and torque, and to what part of it the model is right.
+    """Relative error of the model in some columns of force and torque.
 
-    One standard deviation of the model's own error moves `columns` by `right_to` of the size of `whole`. It also moves
-    them by `answered` of what the model leaves open there below `below_hz`: the controller's answer to that may hide in
-    the parameters. `rows` are those of the :class:`_View` s that are meant.
+    One standard deviation of the model error is `right_to` of the size of `whole`. `answered` of the residual below
+    `below_hz` is added: the controller's response to it may bias the parameters. `rows` selects :class:`_View` s.
     """
 
     columns: tuple[int, ...]
@@ -81,25 +80,26 @@ REFERENCES: Final = (
     Reference((4,), (4,), 0.006, 0.15, 50.0),
     Reference((5,), (5,), 0.009, 0.1, 50.0),
 )
-"""Force across the axis; along it, below `SLOW_HZ` in the whole flight and above it in climbs; roll, pitch and yaw.
-Errors of the estimator's climb rate are slow: they say nothing against climbs, which tell thrust from its curve.
+"""Force perpendicular to the axis; along it, below `SLOW_HZ` in the whole flight and above it in climbs; roll, pitch
+and yaw. Errors of the estimator's climb rate are slow, so they do not affect climbs, which tell thrust from its curve.
 Measured: gains of one simulator's flights spread by 0.3 %, and amplitudes of effects in 60 development nulls of other
-physics in turbulence by 0.4 to 1.1 of their standard errors. Gusts are answered below 2 Hz, where velocity and attitude
-loops close; noise of turns up to 50 Hz by the rate loop."""
+physics in turbulence by 0.4 to 1.1 of their standard errors. Velocity and attitude loops respond to gusts below 2 Hz,
+the rate loop to noise of turns up to 50 Hz."""
 SAG_SPAN: Final = 0.03
-"""Part of the voltage over which it must change so that thrust can tell of it. Source: half of the 6 % that a name asks
-for (AIRFRAME 5.8)."""
+"""Least relative change of the voltage for its effect on thrust to be fitted. Source: half of the 6 % that are needed
+to name it (AIRFRAME 5.8)."""
 UNSEEN_BIAS: Final = 0.1
-"""Offset of an accelerometer, m/s2, that nobody saw at rest. Source: what a six-face calibration leaves (PEERS)."""
+"""Standard deviation of an accelerometer offset without a rest, m/s2. Source: residual of a six-face calibration
+(PEERS)."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightFit:
-    """What a flight says: the best `theta` (P,), and the log-likelihood's curvature there (P, P) without the priors.
+    """Result of a fit: the best `theta` (P,), and the curvature (P, P) of the log-likelihood there, without the priors.
 
     `gradient` (P,) is that of the log-likelihood at `theta`. `spectra` are variances of the whitened bins; `residual`
-    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `trusted`
-    (P, P) is the precision beyond which the model's own errors do not reach (:meth:`FlightLikelihood.trusted`).
+    (N, 6) of force and torque, nan where it is not used. `free` (P,) are the parameters that were fitted. `trusted` (P,
+    P) is the inverse covariance of the model's own errors (:meth:`FlightLikelihood.trusted`).
     """
 
     layout: Layout
@@ -115,12 +115,12 @@ class FlightFit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of all parameters with their priors (P, P)."""
+        """Covariance (P, P) of all parameters, with their priors."""
         prior = np.diag([1.0 / prior_of(n)[1] ** 2 for n in self.layout.names])
         return np.asarray(np.linalg.inv(self.curvature + prior))
 
     def value(self, name: str) -> float:
-        """One parameter."""
+        """Best value of one parameter."""
         return float(self.theta[self.layout.place[name]])
 
     def sd(self, name: str) -> float:
@@ -139,9 +139,9 @@ class _View:
 
 
 def excited(flight: FlownFlight) -> tuple[Mask, Mask]:
-    """Where turns are commanded, and where climbs are (N,): there a controller in the loop biases least.
+    """Masks (N,) of commanded turns and of climbs, in which a controller in the loop biases least.
 
-    Elsewhere commands answer gusts: the commands that fight a gust explain it away (AIRFRAME 5.4).
+    Elsewhere commands respond to gusts: those that fight a gust would explain it away (AIRFRAME 5.4).
     """
     x, y, spin = arms(flight.geometry.motors)
     ways = [np.abs(_moving(flight, flight.c @ of_axis / len(x))) for of_axis in (x, y, spin, np.ones(len(x)))]
@@ -177,14 +177,14 @@ class FlightLikelihood:
             self._views += [_View(k, 0, np.flatnonzero(hz < SLOW_HZ)) for k in range(3, 6)]
 
     def _highest(self, sensor: Sensor) -> float:
-        """Highest frequency that is judged, Hz."""
+        """Highest frequency judged, Hz."""
         flight = self.airframe.flight
         corner = flight.cutoff_hz.get(sensor, 0.0)
         band = FORCE_BAND_HZ if sensor is Sensor.ACCEL else TORQUE_BAND_HZ
         return min(band, corner or band, 0.45 * flight.inertial_hz, 0.45 * flight.command_hz)
 
     def heard(self, column: int) -> float:
-        """Frequency up to which the whole flight's turns stand out of the gyroscope's noise, Hz."""
+        """Frequency, Hz, up to which turns over the whole flight exceed the gyroscope's noise."""
         turns = excited(self.airframe.flight)[0] & self.airframe.flight.usable
         power = dct(self._measured[:, column] * turns, norm="ortho") ** 2
         noise = self.noise.power[column - 3] * turns.mean() * self.noise.of_white
@@ -199,12 +199,12 @@ class FlightLikelihood:
 
     @property
     def _felt(self) -> Mask:
-        """Without the exponent of a voltage that does not change."""
+        """Mask of the parameters, without the voltage exponent if the voltage does not change."""
         sags = self.airframe.voltage_span >= SAG_SPAN
         return np.array([n != "sag" or sags for n in self.airframe.layout.names])
 
     def prior(self, name: str) -> tuple[float, float]:
-        """Of one parameter, with what the accelerometer read at rest."""
+        """Prior mean and standard deviation of one parameter, with the accelerometer's error at rest."""
         if name in self._at_rest:
             return self._at_rest[name]
         return prior_of(name)
@@ -222,7 +222,7 @@ class FlightLikelihood:
 
     @cached_property
     def _at_rest(self) -> Mapping[str, tuple[float, float]]:
-        """The accelerometer's error at rest, as gravity shows it, and its scale: all of the error, or nothing of it."""
+        """Priors of the accelerometer's offset and scale, from its error at rest; scale explains all of it, or none."""
         flight = self.airframe.flight
         mean = None if flight.rest is None else flight.rest.means.get(flight.unit)
         if flight.rest is None or mean is None:
@@ -234,7 +234,7 @@ class FlightLikelihood:
         return {**at_rest, "scale": (off / flight.gravity, abs(off) / flight.gravity)}
 
     def trusted(self, columns: list[Array], residual: list[Array]) -> Array:
-        """Precision (F, F) of the free parameters beyond which the model's own errors do not reach: `REFERENCES`."""
+        """Inverse covariance (F, F) of the free parameters due to the model's own errors, by `REFERENCES`."""
         measured = self.bins(self._measured)
         total = np.zeros((len(columns[0]), len(columns[0])))
         for one in REFERENCES:
@@ -247,7 +247,7 @@ class FlightLikelihood:
         return total
 
     def _answerable(self, view: int, residual: Array, below_hz: float) -> float:
-        """Energy of a view's residual below that frequency beyond the sensor's noise, which no controller answers."""
+        """Energy of a view's residual below that frequency, minus the sensor's noise."""
         one = self._views[view]
         if one.column < 3:
             return _beyond_noise(residual, self._hz[one.picked], below_hz)
@@ -264,11 +264,11 @@ class FlightLikelihood:
         return GyroNoise(self.airframe.flight, self._hz, np.where(usable[:, None], self._measured[:, 3:], 0.0))
 
     def spectra(self, theta: Array) -> tuple[Array, ...]:
-        """The noise that is left at a point."""
+        """Spectra of the residual at `theta`."""
         return tuple(spectra_of(self.bins(self.residual(theta))))
 
     def loglik(self, theta: Array, spectra: tuple[Array, ...]) -> float:
-        """Of a point with the noise given, nats."""
+        """Log-likelihood of `theta` with given noise, nats."""
         bins = self.bins(self.residual(theta))
         return -0.5 * sum(float((np.log(s) + b**2 / s).sum()) for b, s in zip(bins, spectra, strict=True))
 
@@ -311,7 +311,7 @@ class FlightLikelihood:
 
 
 def _beyond_noise(residual: Array, hz: Array, below_hz: float) -> float:
-    """Energy of a residual below that frequency beyond what is left at the highest ones."""
+    """Energy of a residual below that frequency, minus the noise floor at the highest ones."""
     power, slow = residual**2, hz < below_hz
     noise = 0.0 if slow.all() else float(power[~slow][-(np.count_nonzero(~slow) // 2) :].mean())
     return max(float(power[slow].sum()) - noise * np.count_nonzero(slow), 0.0)
@@ -336,7 +336,7 @@ def fitted(
     white = rounds > _WHITE_ROUNDS
     for turn in range(rounds):
         bins = likelihood.bins(likelihood.residual(theta))
-        # a misfit at the start would pass for noise of its own spectrum, and stay
+        # an initial misfit would be taken for noise of that spectrum, and remain
         white = white and turn < _WHITE_ROUNDS
         spectra = [_white(b**2) for b in bins] if white else spectra_of(bins)
         columns = likelihood.jacobian(theta, free)
@@ -357,9 +357,9 @@ def fitted(
 
 
 def _inward(hessian: Array, slope: Array, at: Array, ends: Array) -> Array:
-    """The Gauss-Newton step with every parameter held that is at its end and would leave it.
+    """Gauss-Newton step with every parameter held that is at a limit and would exceed it.
 
-    Cut off afterwards, such a step would no longer descend, and the fit would stay where it is.
+    Clipped afterwards instead, such a step might not descend, and the fit would stall.
     """
     kept = np.ones(len(at), dtype=bool)
     while True:
@@ -378,7 +378,7 @@ def _descended(
     step: Array,
     spectra: list[Array],
 ) -> tuple[Array, float]:
-    """The point after the longest part of the step that does not lose likelihood, and that part."""
+    """The point after the longest fraction of the step that does not lose likelihood, and that fraction."""
     mean, sd = likelihood.priors
 
     def loss(at: Array) -> float:
@@ -430,12 +430,12 @@ def spectra_of(bins: list[Array]) -> list[Array]:
 
 
 def _white(power: Array) -> Array:
-    """The mean everywhere; of a view without rows, which is zero, next to nothing."""
+    """The mean power in every bin; tiny for a view without rows, whose power is zero."""
     return np.full(len(power), max(float(power.mean()), 1e-300))
 
 
 def _smooth(power: Array) -> Array:
-    """Means over windows that grow with the bin's number; small ones at the low end, where a flight has few bins."""
+    """Means over windows that grow with the bin number; small at the low end, where a flight has few bins."""
     total = np.concatenate([[0.0], np.cumsum(power)])
     k = np.arange(len(power))
     half = np.maximum(_LEAST_BINS, (_WINDOW * k)).astype(np.intp)

@@ -23,31 +23,33 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 GRID_HZ: Final = 100.0
-"""Rate at which a flight is judged. Source: filters of 20 to 40 Hz; at 200 Hz fits were the same."""
+"""Rate of the common grid, Hz. Source: filters of 20 to 40 Hz; fits at 200 Hz were the same."""
 CLEAR_M: Final = 1.0
-"""Height above the ground from which on a flight counts as airborne. Chosen, not measured: above most ground effect."""
+"""Height above the ground, m, above which a flight counts as airborne. Chosen, not measured: above most ground
+effect."""
 GAP_S: Final = 0.06
 """Longest step between samples of an inertial unit or of the commands that is interpolated. Source: AIRFRAME 6, a gap
 masks 0.1 s around it; 50 Hz is the slowest rate that is judged."""
 REST_AGREES: Final = 0.03
-"""m/s2 by which gravity at rest may differ from an accelerometer that is right. Source: local gravity differs from the
+"""Largest difference, m/s2, of a correct accelerometer at rest from gravity. Source: local gravity differs from the
 standard by 0.03 at the poles and at the equator."""
 _STATE_GAP_S: Final = 0.25
 """The same for the estimator's velocity and attitude, which change slowly. Source: logged at 10 Hz and more."""
 _EDGE_S: Final = 0.1
 _MARGIN_S: Final = 1.0
-"""Left out after the start and before the end of the airborne span. Chosen, not measured: contact with the ground."""
+"""Time, s, left out after the start and before the end of the airborne span. Chosen, not measured: contact with the
+ground."""
 _LEAST_S: Final = 20.0
-"""Shortest flight that is judged. Chosen, not measured: two manoeuvres of the standard flight."""
+"""Shortest flight, s, that is judged. Chosen, not measured: two manoeuvres of the standard flight."""
 _LIMITED_S: Final = 0.1
 _LATE_S: Final = 0.5
-"""Left out after a command at its limit: a motor whose rate is limited is on its way there. Measured: with less, such a
-motor was told with another inertia beside it."""
+"""Time, s, left out after a command at its limit: a rate-limited motor is still approaching it. Measured: with less, a
+wrong inertia was reported beside such a motor."""
 _STANDING: Final = 0.02
-"""Mean command below which motors stand. Chosen, not measured: far below what lifts."""
+"""Mean command below which motors are stopped. Chosen, not measured: far below lift-off."""
 _REST_S: Final = 1.0
 _ROTATING: Final = 0.05
-"""rad/s below which a disarmed vehicle is at rest. Chosen, not measured: a hundredth of a flight's rates."""
+"""Rate, rad/s, below which a disarmed vehicle is at rest. Chosen, not measured: a hundredth of a flight's rates."""
 CUTOFFS: Final[Mapping[Sensor, tuple[str, str]]] = {
     Sensor.ACCEL: ("INS_ACCEL_FILTER", "IMU_ACCEL_CUTOFF"),
     Sensor.GYRO: ("INS_GYRO_FILTER", "IMU_GYRO_CUTOFF"),
@@ -68,11 +70,10 @@ class FlownFlight:
     """One flight on the grid `t` (N,), in body axes (FRD).
 
     `force` (N, 3) and `rate` (N, 3) are as logged, filtered; `acceleration` (N, 3) is the rate's derivative; `unit` is
-    the inertial unit. `others` are the forces of further units (N, 3). `c` (N, n) are the commands without what the
-    grid folds back; `velocity` (N, 3) north, east, down; `q` (N, 4) body to local.
-    `voltage` (N,), nan where it was not logged; `height` (N,) above the start, nan likewise. `usable` (N,) leaves out
-    limits, gaps and resets. `cutoff_hz` by sensor, 0: not filtered. `estimated`: the velocity is the estimator's, not
-    the GPS's.
+    the inertial unit. `others` are the forces of further units (N, 3). `c` (N, n) are the commands, low-passed against
+    aliasing on the grid; `velocity` (N, 3) north, east, down; `q` (N, 4) body to local. `voltage` (N,), nan where it
+    was not logged; `height` (N,) above the start, nan likewise. `usable` (N,) leaves out limits, gaps and resets.
+    `cutoff_hz` by sensor, 0: not filtered. `estimated`: the velocity is the estimator's, not the GPS's.
     """
 
     t: Array
@@ -126,7 +127,7 @@ class EstimatorError:
     turn: Array
 
     def taken_off(self, flight: FlownFlight) -> FlownFlight:
-        """The flight without that error."""
+        """The flight with that error removed."""
         off, turn = (np.column_stack([np.interp(flight.t, self.t, x) for x in e.T]) for e in (self.velocity, self.turn))
         right = Rotation.from_rotvec(-turn) * Rotation.from_quat(flight.q[:, [1, 2, 3, 0]])
         return replace(flight, velocity=flight.velocity - off, q=right.as_quat()[:, [3, 0, 1, 2]])
@@ -134,7 +135,7 @@ class EstimatorError:
 
 @dataclass(frozen=True)
 class Unflown:
-    """Why a recording says nothing of the airframe, and what would be needed."""
+    """Why a recording cannot be used for the airframe, and what would be needed."""
 
     reason: str
     need: str
@@ -145,12 +146,12 @@ PROFILE_BITS: Final = "SDLOG_PROFILE with bits 0 and 4 (high rate) or 3 (system 
 
 
 def needed_log(recording: Recording) -> str:
-    """How to log so that an airframe can be judged."""
+    """Log settings with which an airframe can be judged."""
     return PROFILE_BITS if recording.identity.autopilot == "px4" else LOG_BITS
 
 
 def dropped(recording: Recording) -> float:
-    """Part of the samples of the fastest accelerometer that its log lost; 0 without one."""
+    """Fraction of the fastest accelerometer's samples lost by the log; 0 without an accelerometer."""
     found = [c.t for c in (*recording.channels, *recording.dynamics) if c.sensor == Sensor.ACCEL and len(c.t) > 1]
     whole = [1.0 + float(t[-1] - t[0]) / float(np.median(np.diff(t))) for t in found]
     return max((1.0 - len(t) / n for t, n in zip(found, whole, strict=True) if n == max(whole)), default=0.0)
@@ -247,7 +248,7 @@ def _rate(channel: Channel) -> float:
 
 
 def state_of(recording: Recording, sensor: Sensor) -> Channel | None:
-    """The estimator's own series; where it was not logged, that of the GPS or of the attitude message."""
+    """The estimator's series, or else that of the GPS or of the attitude message."""
     own = [c for c in recording.dynamics if c.sensor == sensor]
     every = own or [c for c in recording.channels if c.sensor == sensor]
     good = [c for c in every if len(c) > 10 and _rate(c) >= 4.0]
@@ -289,7 +290,7 @@ def _airborne(recording: Recording, commands: MotorCommands, *, from_ground: boo
 
 
 def _height(recording: Recording, t: Array) -> Array:
-    """Above the lowest place of the recording, m; nan where no place was logged. A log may begin in the air."""
+    """Height, m, above the lowest position, since a log may begin in the air; nan where no position was logged."""
     places = [c for c in recording.dynamics if c.sensor == Sensor.PLACE and len(c) > 1]
     if places:
         best = max(places, key=len)
@@ -301,7 +302,7 @@ def _height(recording: Recording, t: Array) -> Array:
 
 
 def _between_passes(recording: Recording, t: Array) -> Mask:
-    """From the first to the last row above the ground by a rangefinder, which may be out of its range in between."""
+    """Mask from the first to the last row above the ground by a rangefinder, which may be out of range in between."""
     found = [c for c in recording.dynamics if c.sensor == Sensor.HEIGHT and (c.values[:, 0] > CLEAR_M).any()]
     if not found:
         return np.ones(len(t), dtype=bool)
@@ -322,7 +323,7 @@ def _wide(rows: Mask, seconds: float) -> Mask:
 
 
 def _after(rows: Mask, seconds: float) -> Mask:
-    """Rows, and those up to so many seconds after one."""
+    """`rows`, extended by so many seconds after each."""
     last = np.maximum.accumulate(np.where(rows, np.arange(len(rows)), -len(rows)))
     return np.asarray(np.arange(len(rows)) - last <= seconds * GRID_HZ)
 
@@ -336,13 +337,13 @@ def _curve(channel: Channel) -> CubicSpline:
 
 
 def on_grid(t: Array, stamps: Array, values: Array, rate: float) -> Array:
-    """`values` (M, n) at `stamps` (M,) on the grid (N, n), without what it would fold back."""
+    """`values` (M, n) at `stamps` (M,), low-passed against aliasing, on the grid (N, n)."""
     kept = kept_below(values, rate, GRID_HZ)
     return np.column_stack([np.interp(t, stamps, column) for column in kept.T])
 
 
 def _turned(t: Array, attitude: Channel) -> Array:
-    """Unit quaternions on the grid, through a spline of those of continuous sign."""
+    """Unit quaternions on the grid, by a spline after sign continuation."""
     q = attitude.values.copy()
     flips = np.concatenate([[1.0], np.sign((q[1:] * q[:-1]).sum(axis=1) + 1e-300)])
     q *= np.cumprod(flips)[:, None]
@@ -351,7 +352,7 @@ def _turned(t: Array, attitude: Channel) -> Array:
 
 
 def _others(recording: Recording, unit: int, t: Array) -> dict[int, Array]:
-    """Forces of the other units, where they are fast enough for the slow part of a flight."""
+    """Forces of the other units, if fast enough for the low frequencies of a flight."""
     found: dict[int, Array] = {}
     for channel in recording.channels:
         own = channel.sensor == Sensor.ACCEL and channel.instance != unit and channel.stage == Stage.FILTERED
@@ -366,7 +367,7 @@ def _voltage(recording: Recording, t: Array) -> Array:
 
 
 def _at_rest(recording: Recording, commands: MotorCommands) -> Rest | None:
-    """Means while the motors stand and the vehicle is still, before the flight and after it."""
+    """Means while the motors are stopped and the vehicle is still, before and after the flight."""
     means: dict[int, list[Array]] = {}
     arm = [(e.t, e.kind == "armed") for e in recording.events if e.kind in {"armed", "disarmed"}]
     streams = (*recording.channels, *recording.dynamics)

@@ -14,7 +14,7 @@ from mavcal.calib.airframe.testable import Missing
 class FoundValue:
     """One parameter of an effect: `value` is a ratio less one where `relative`, else a difference; `sd` its error.
 
-    `real` and `sim` are those of the flights in SI, None where they say nothing by themselves.
+    `real` and `sim` are the values of the flights in SI units, None where they are not meaningful alone.
     """
 
     name: str
@@ -28,7 +28,7 @@ class FoundValue:
 
 @dataclass(frozen=True)
 class FoundRival:
-    """Another effect in the place of one: its probability, and by how many nats the found one is preferred."""
+    """A rival of a found effect: its probability, and the nats by which the found one is preferred."""
 
     id: str
     probability: float
@@ -38,7 +38,7 @@ class FoundRival:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect: the nats that the data lose without it, with `df` amplitudes, its probability and its rivals."""
+    """One effect with `df` amplitudes: the nats lost without it, its probability and its rivals."""
 
     id: str
     domain: Domain
@@ -55,7 +55,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Nats a sample by which predictions fall short of a free fit on held-out stretches, before and after effects."""
+    """Loss of predictions against a free fit on held-out stretches, nats per sample, without and with the effects."""
 
     before: float
     after: float
@@ -64,10 +64,10 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class AirframeAnswer:
-    """Everything that two flights say of airframe, actuators and air.
+    """Result of the comparison of two flights for airframe, actuators and air.
 
-    `unknown` is the text of what has no name, with its `unknown_share` of the evidence; empty where nothing is left.
-    `nameless` is the probability that something without a name is there.
+    `unknown` describes the nameless effects, with their `unknown_share` of the evidence; empty: none. `nameless` is the
+    probability of a nameless effect.
     """
 
     found: tuple[FoundEffect, ...]
@@ -87,7 +87,7 @@ class AirframeAnswer:
 
 @dataclass(frozen=True)
 class NoAirframe:
-    """Why nothing can be said of the airframe, and what would be needed."""
+    """Why the airframe cannot be judged, and what would be needed."""
 
     reason: str
     need: str

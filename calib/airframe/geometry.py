@@ -1,7 +1,7 @@
-"""Where the motors of a multicopter sit and which way they turn: ArduPilot's frames and PX4's rotors.
+"""Positions and directions of rotation of a multicopter's motors: ArduPilot's frames and PX4's rotors.
 
-Positions are in arms (the longest is 1): a length is never taken from the parameters, for ``CA_ROTORn_P*`` need not be
-metres. Sources: ``AP_MotorsMatrix.cpp`` (angles and yaw factors, clockwise from the nose), ``ActuatorEffectiveness``.
+Positions are in arms (the longest is 1), since ``CA_ROTORn_P*`` need not be in metres. Sources: ``AP_MotorsMatrix.cpp``
+(angles and yaw factors, clockwise from the nose), ``ActuatorEffectiveness``.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _FRAMES: Final[Mapping[tuple[int, int], tuple[tuple[float, int], ...]]] = {
         (112.5, _CW),
     ),
 }  # fmt: skip
-"""By FRAME_CLASS and FRAME_TYPE: each motor's angle from the nose, degrees clockwise, and its direction."""
+"""By FRAME_CLASS and FRAME_TYPE: each motor's angle from the nose, degrees clockwise, and its direction of rotation."""
 _CLASSES: Final = {1: "quad", 2: "hexa", 3: "octa"}
 _TYPES: Final = {
     0: "plus",
@@ -58,7 +58,7 @@ NAMED: Final[Mapping[str, tuple[int, int]]] = {
 
 
 def geometry_of(parameters: Mapping[str, float], frame: str | None = None) -> Geometry | None:
-    """The frame that the parameters tell, or that the user states; None: neither tells one with a model here."""
+    """The frame from the parameters, or as stated by the user; None: neither gives a frame that is modelled here."""
     if frame is not None:
         return _listed(*NAMED[frame], "user") if frame in NAMED else None
     if "CA_ROTOR_COUNT" in parameters:
@@ -99,7 +99,7 @@ def _rotors(parameters: Mapping[str, float]) -> Geometry | None:
 
 
 def arms(motors: Sequence[Motor]) -> tuple[Array, Array, Array]:
-    """Place forward and right, in arms, and direction, of each motor (n,)."""
+    """Positions forward and right, in arms, and directions of rotation of the motors, (n,) each."""
     return tuple(np.array([getattr(m, name) for m in motors], dtype=np.float64) for name in ("x", "y", "spin"))  # type: ignore[return-value]
 
 

@@ -1,8 +1,8 @@
 """Ground effect: thrust gained near the ground (AIRFRAME 2), judged on the rows of :mod:`calib.airframe.low`.
 
 Cheeseman and Bennett (1955): thrust is multiplied by 1 / (1 - s / (4 z)^2), where z is the height of the rotors above
-the ground. Strength (1 for a single rotor) and radius R act as one number, s = strength R^2, m2: no log tells them
-apart. Each pass over the ground has an offset of its thrust and of its height beside it.
+the ground. Strength (1 for a single rotor) and radius R act as one number, s = strength R^2, m2, and cannot be told
+apart. Each pass over the ground has its own offsets of thrust and height.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ NEED: Final = FIXES[ID]
 TOLD_AT_M: Final = 0.25
 """Rotor height at which the gain is reported, m. Chosen, not measured: two radii of a 10-inch propeller."""
 LEAST_S: Final = 1.0
-"""Time near the ground that is judged. Chosen, not measured: a landing at 0.4 m/s."""
+"""Least time near the ground, s. Chosen, not measured: a landing at 0.4 m/s."""
 USUAL: Final = 0.03
-"""s of a usual vehicle, m2: 10-inch propellers and a strength of 2. Source: AIRFRAME 2, several rotors have more than
+"""s of a typical vehicle, m2: 10-inch propellers and a strength of 2. Source: AIRFRAME 2, several rotors have more than
 one (Sanchez-Cuevas 2017)."""
 _SHOWN: Final = 8.0
-"""Evidence in nats that the usual s must make in a flight, so that its absence counts. Source: a name takes
+"""Evidence, nats, that the typical s would give in a flight, for its absence to count. Source: naming an effect takes
 log(0.9 / 0.1 / 0.05) = 5.2 nats beyond the Occam factor."""
 _NAMED: Final = 0.5
-"""Probability from which an answer counts in a noisier flight as well. Source: even odds."""
+"""Probability above which an answer counts in a noisier flight as well. Source: even odds."""
 _STRENGTH_SD: Final = 0.06
-"""Standard deviation of s where there is any, m2. Source: twice the usual."""
+"""Prior standard deviation of s if the effect is present, m2. Source: twice the typical value."""
 _STRENGTHS: Final = np.concatenate([[0.0], np.geomspace(5e-4, 0.4, 90)])
 _LEGS: Final = 13
 _LEAST_LEGS_M: Final = 0.04
-"""Heights of the rotors that are tried for each pass, and the least of them, m."""
+"""Number of rotor heights tried for each pass, and the lowest of them, m."""
 _OFFSET: Final = 0.01
-"""Standard deviation of a pass's own relative offset of thrust: voltage and wind. Chosen, not measured."""
+"""Standard deviation of a pass's relative offset of thrust, from voltage and wind. Chosen, not measured."""
 
 
 @dataclass(frozen=True)
 class GroundEffect:
-    """Gain of thrust at :data:`TOLD_AT_M`, real and simulated, and their difference with its error."""
+    """Thrust gain at :data:`TOLD_AT_M`, real and simulated, and the difference with its error."""
 
     real: float
     sim: float
@@ -66,18 +66,18 @@ class GroundEffect:
 
 
 def gain_at(s: float, height: Array) -> Array:
-    """Relative gain of thrust with the rotors `height` m above the ground; below half a radius, as there."""
+    """Relative thrust gain with the rotors `height` m above the ground; held below half a radius."""
     near = s / (4.0 * np.maximum(height, 0.5 * np.sqrt(s) + 1e-3)) ** 2
     return np.asarray(1.0 / (1.0 - near) - 1.0)
 
 
 def loglik(low: LowFlight) -> Array:
-    """Log-likelihood of each of the strengths of the grid."""
+    """Log-likelihood of each strength of the grid."""
     return np.asarray(sum((_of_pass(low, p) for p in low.passes), np.zeros(len(_STRENGTHS))))
 
 
 def power(low: LowFlight) -> float:
-    """Nats by which the usual strength would show."""
+    """Evidence, nats, that the typical strength would give."""
     shapes = [gain_at(USUAL, p.height + LEGS_M[0]) for p in low.passes]
     return sum(0.5 * float(shape @ cho_solve(_root(low, len(shape)), shape)) for shape in shapes)
 
@@ -103,9 +103,9 @@ def _of_pass(low: LowFlight, one: Pass) -> Array:
 
 
 def compared(real: LowFlight, sim: LowFlight, odds: float) -> GroundEffect:
-    """One strength that both flights share against two of their own.
+    """Comparison of one strength for both flights with one for each.
 
-    Before the flights, either has none or one of about :data:`_STRENGTH_SD`, with even odds.
+    A priori each flight has none, or one of about :data:`_STRENGTH_SD`, with even odds.
     """
     prior, ours, theirs = _prior(), loglik(real), loglik(sim)
     alike = float(logsumexp(prior + ours + theirs))

@@ -1,4 +1,4 @@
-"""White noise of the gyroscope in the measured angular acceleration, and the filter that it went through."""
+"""White noise of the gyroscope in the measured angular acceleration, and the gyroscope's filter."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 TORQUE_BAND_HZ: Final = 20.0
-"""Up to which torque is judged. Source: AIRFRAME 5.3; above lies vibration, and the firmware's filters."""
+"""Highest frequency, Hz, at which torque is judged. Source: AIRFRAME 5.3; above are vibration and the firmware's
+filters."""
 _LEAST_BINS: Final = 8
-"""Fewest bins of a band. Chosen, not measured: the mean power of eight has an error of one half."""
+"""Least number of bins in a band. Chosen, not measured: the mean power of eight has an error of one half."""
 _NOISE_BANDS, _NOISE_HZ = 4, 30.0
 """The quietest of these bands, from `TORQUE_BAND_HZ` to `_NOISE_HZ`, is taken for the gyroscope's noise. Chosen, not
 measured: vibration of the rotors fills some bands, and the grid's own filter removes what lies above."""
@@ -29,8 +30,8 @@ _QUIETEST: Final = 1.03
 """Standard deviations by which the least of four equal bands lies below their mean. Source: normal order statistics."""
 _CORNERS_HZ: Final = (12.0, 15.0, 17.0, 20.0, 23.0, 26.0, 30.0, 35.0, 40.0, 50.0, 60.0)
 _PLAINER: Final = 5.0
-"""Cutoffs that are tried where the log states none, and nats by which one must be better than no filter. Source: those
-that owners set; half the logarithm of the bins, for one parameter that is fitted."""
+"""Cutoffs, Hz, that are tried where the log states none, and nats by which one must beat no filter. Source: usual
+settings; half the logarithm of the number of bins, for one fitted parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ class GyroNoise:
 
     @cached_property
     def _noise_edges(self) -> NDArray[np.intp]:
-        """Where the bands of the gyroscope's noise begin and end, in bins; empty where there is no room for them."""
+        """Edges, in bins, of the bands of the gyroscope's noise; empty if the bands do not fit."""
         highest = min(0.45 * self.flight.inertial_hz, _NOISE_HZ)
         edges = np.searchsorted(self.hz, np.linspace(TORQUE_BAND_HZ, highest, _NOISE_BANDS + 1))
         roomy = highest >= 1.5 * TORQUE_BAND_HZ and (np.diff(edges) >= _LEAST_BINS).all()
@@ -67,7 +68,7 @@ class GyroNoise:
 
     @cached_property
     def _by_white(self) -> Array:
-        """Power (N, 3) of the measured turns by that of unfiltered white noise."""
+        """Power (N, 3) of the measured turns over that of unfiltered white noise."""
         return np.asarray(dct(self.turns, axis=0, norm="ortho") ** 2 / np.maximum(self._unfiltered, 1e-12)[:, None])
 
     @cached_property
@@ -89,7 +90,7 @@ class GyroNoise:
 
     @cached_property
     def power(self) -> Array:
-        """Power (3,) of the gyroscopes' white noise, by the quietest band above the judged ones; 0 without one."""
+        """Power (3,) of the gyroscope's white noise, from the quietest band above the judged ones; 0 without one."""
         edges = self._noise_edges
         if not len(edges):
             return np.zeros(3)
@@ -100,5 +101,5 @@ class GyroNoise:
 
 
 def _passed(hz: Array, corner: float) -> Array:
-    """Power that a filter of the second order passes; corner 0: all of it."""
+    """Power gain of a second-order filter; corner 0: one."""
     return 1.0 / (1.0 + (hz / corner) ** 4) if corner > 0.0 else np.ones_like(hz)

@@ -1,4 +1,4 @@
-"""How far the gap shrinks on stretches that took no part in the fit; it reports, and changes no answer."""
+"""How far the gap shrinks on stretches held out of the fit; only reported, without influence on the answer."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 RUNS_M_S: Final = 3.0
-"""Speed over ground from which on a stretch is a run: the kind of manoeuvre that is held out as a whole. Source:
+"""Speed over ground, m/s, above which a stretch is a run, a kind of manoeuvre that is held out as a whole. Source:
 AIRFRAME 5.8, where drag shows."""
 _REFITTED: Final = 3
 _LEAST: Final = 0.1
-"""Part of the flight that a manoeuvre must take so that it is held out. Chosen, not measured."""
+"""Least fraction of the flight of a manoeuvre that is held out. Chosen, not measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parted:
-    """Rollouts and nats on held-out stretches; `nats` is None where there is nothing to add."""
+    """Rollouts and nats on held-out stretches; `nats` is None without effects."""
 
     rollouts: tuple[Rollout, ...]
     nats: HeldOut | None
 
 
 def held_out(answer: Answer, evidence: PairEvidence, found: Sequence[FoundEffect]) -> Parted:
-    """Errors of the predicted flight with the simulator's airframe, and with one effect more each."""
+    """Errors of the predicted flight with the simulator's airframe, and after each further effect."""
     model = answer.best.model
     side = evidence.side_of(model)
     steps = _steps(evidence, model, found)
@@ -59,11 +59,11 @@ _TERMS: Final = (
     ("drag", ("c1", *BODY_DRAG, "wind_north", "wind_east")),
     ("inflow", ("cz", "ch", "climb")),
 )
-"""Parts of an airframe in the order in which they are added to a hover. Source: AIRFRAME 5.7, log171."""
+"""Parameters of an airframe in the order in which they are added to a hover. Source: AIRFRAME 5.7, log171."""
 
 
 def alone(side: Side) -> tuple[Rollout, ...]:
-    """Errors of the predicted flight from a hover's thrust to the whole airframe, fitted without what it predicts."""
+    """Errors of the predicted flight, from hover thrust alone to the whole airframe; predicted rows are held out."""
     airframe, place = side.likelihood.airframe, side.fit.layout.place
     made = []
     for rows in folds(airframe):
@@ -83,7 +83,7 @@ def alone(side: Side) -> tuple[Rollout, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """Rows that were held out, predictions without them, and nats a sample of each prediction and of a free fit."""
+    """Held-out rows, predictions fitted without them, and nats per sample of each prediction and of a free fit."""
 
     rows: Mask
     predictions: tuple[Predicted, ...]
@@ -92,7 +92,7 @@ class _Fold:
 
 
 def _steps(evidence: PairEvidence, model: Model, found: Sequence[FoundEffect]) -> tuple[tuple[str, Model], ...]:
-    """The simulator's airframe, then one effect more each; the air is known on both sides from the beginning."""
+    """Models from the simulator's airframe on, each with one more effect; effects of the air are in all of them."""
     air = frozenset(e.block for e in evidence.chosen(model) if e.domain == "environment")
     steps: list[tuple[str, Model]] = [("", air)]
     for effect in found:
@@ -109,7 +109,7 @@ def _steps(evidence: PairEvidence, model: Model, found: Sequence[FoundEffect]) -
 
 
 def _fold(evidence: PairEvidence, side: Side, model: Model, steps: Sequence[tuple[str, Model]], rows: Mask) -> _Fold:
-    """Everything fitted again without `rows`, at the noise of the whole flight."""
+    """The models fitted again without `rows`, with the noise of the whole flight."""
     inside, outside = (_on(side, kept) for kept in (~rows, rows))
     fit = expanded(inside, side.fit.theta, inside.possible, list(side.fit.spectra))
     apart = replace(evidence, real=Side(inside, fit)) if side is evidence.real else replace(

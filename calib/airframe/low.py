@@ -21,38 +21,39 @@ Mask = NDArray[np.bool_]
 LEGS_M: Final = (0.15, 0.05)
 """Mean and standard deviation of the rotors' height when the vehicle stands. Chosen, not measured: small drones."""
 HEIGHT_SD: Final = {Sensor.HEIGHT: 0.03, Sensor.PLACE: 0.1}
-"""m, in one pass. Source: data sheets of rangefinders; the estimator's height between take-off and hover."""
+"""Standard deviation of the height in one pass, m. Source: data sheets of rangefinders; the estimator's height between
+take-off and hover."""
 _CLEAR: Final = {Sensor.HEIGHT: 0.08, Sensor.PLACE: 0.2}
 """Height above the stand, m, below which a row may be on the ground. Source: two to three of these errors."""
 _CONTACT_S: Final = 0.3
-"""Left out around such rows. Chosen, not measured: legs that bend, and the filter of the accelerometer."""
+"""Time, s, left out around such rows. Chosen, not measured: legs bend, and the accelerometer is filtered."""
 NEAR_M: Final = 0.6
 """Height of the rotors below which ground effect shows. Source: three radii of a 15-inch propeller, where one rotor
 alone gains 0.7 %."""
 _PASS_M: Final = 3.0
-"""Height up to which a pass over the ground is read, for its offset. Chosen, not measured: ten radii and more."""
+"""Height, m, up to which a pass over the ground is used, for its offset. Chosen, not measured: ten radii and more."""
 CALM_M: Final = 4.0
-"""Height from which on a row tells the noise of thrust. Chosen, not measured: above every pass."""
+"""Height, m, above which rows are used for the noise of thrust. Chosen, not measured: above every pass."""
 _CALM_PUSH: Final = 1.5
 _CALM_CLIMB: Final = 1.5
 _CALM_SPEED: Final = 2.0
-"""Vertical force beside gravity, m/s2, climb and speed over ground, m/s, of calm flight. Chosen, not measured."""
+"""Limits of calm flight: vertical force minus gravity, m/s2, climb and speed over ground, m/s. Chosen, not measured."""
 _LEAST_NOISE: Final = 1e-3
 """Least noise of relative thrust in one row. Source: a third of the model's own error."""
 _BLOCK: Final = 10
-"""Rows of the grid in one row here: 0.1 s."""
+"""Grid rows averaged into one row: 0.1 s."""
 MEMORY_S: Final = 3.0
-"""Longest lag of the noise. Chosen, not measured: gusts through a hover."""
+"""Longest lag of the noise covariance, s. Chosen, not measured: duration of gusts in a hover."""
 _REST_S: Final = 3.0
-"""Before and after the motors run, in which the height of the stand is read."""
+"""Time, s, before and after the motors run in which the height of the stand is measured."""
 _FEWEST: Final = 10
 _SHORTEST: Final = 2
-"""Rows of a height that is used, and of a pass."""
+"""Least number of rows of a height series, and of a pass."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """One stretch near the ground: relative gain of thrust (M,) and height above the stand (M,), m."""
+    """One stretch near the ground: relative thrust gain (M,) and height above the stand (M,), m."""
 
     gain: Array
     height: Array
@@ -62,7 +63,7 @@ class Pass:
 class LowFlight:
     """Passes of a flight near the ground, and the noise of its thrust.
 
-    `noise` is the covariance of the relative gain of thrust by lag, `step` s between rows; `height_sd` m.
+    `noise` is the covariance of the relative thrust gain by lag; `step` is the time between rows, s; `height_sd` in m.
     """
 
     passes: tuple[Pass, ...]
@@ -89,9 +90,9 @@ class NearGround:
 
 
 def near_ground(recording: Recording, flight: FlownFlight) -> NearGround | None:
-    """The same flight with take-off and landing; None where no height is logged.
+    """The flight with take-off and landing; None where no height is logged.
 
-    A rangefinder goes before the estimator, except far above the ground, where it may be out of its range.
+    A rangefinder is preferred to the estimator, except far above the ground, where it may be out of range.
     """
     found = {c.sensor: c for c in recording.dynamics if c.sensor in HEIGHT_SD and len(c) > _FEWEST}
     whole = flown(recording, flight.geometry, flight.commands, from_ground=True) if found else None
@@ -106,9 +107,9 @@ def near_ground(recording: Recording, flight: FlownFlight) -> NearGround | None:
 
 
 def low_flight(near: NearGround, like: Airframe, theta: Array) -> LowFlight | None:
-    """Rows near the ground beside an airframe; None: too little calm flight to know the noise.
+    """Thrust gain near the ground relative to a fitted airframe; None: too little calm flight to know the noise.
 
-    `theta` are its parameters on the layout of `like`.
+    `theta` are the airframe's parameters on the layout of `like`.
     """
     flight, clear = near.flight, _CLEAR[near.sensor]
     airframe = Airframe(
@@ -137,7 +138,7 @@ def low_flight(near: NearGround, like: Airframe, theta: Array) -> LowFlight | No
 
 
 def _above_stand(channel: Channel, flight: FlownFlight) -> Array:
-    """Height above where the vehicle stood before and after (N,), m; nan where it did not stand in the log."""
+    """Height above the ground where the vehicle stood before and after the flight (N,), m; nan if it did not stand."""
     values = channel.values[:, 0] if channel.sensor == Sensor.HEIGHT else -channel.values[:, 2]
     start, end = float(flight.t[0]), float(flight.t[-1])
     known = []
@@ -152,7 +153,7 @@ def _above_stand(channel: Channel, flight: FlownFlight) -> Array:
 
 
 def _calm(flight: FlownFlight) -> Mask:
-    """Rows (N,) near a hover, since the formula holds in steady flow."""
+    """Mask (N,) of rows near a hover, since the formula holds in steady flow."""
     push = np.abs(flight.force[:, 2] + flight.gravity)
     speed = np.hypot(flight.velocity[:, 0], flight.velocity[:, 1])
     return np.asarray((push < _CALM_PUSH) & (np.abs(flight.velocity[:, 2]) < _CALM_CLIMB) & (speed < _CALM_SPEED))

@@ -18,19 +18,19 @@ from mavcal.calib.airframe.geometry import arms
 Array = NDArray[np.float64]
 
 SLOW_COSINES: Final = 6
-"""Half waves over a flight that a slow force may have. Chosen, not measured: in 110 s a period of 37 s and longer."""
+"""Most half waves of a slow force over a flight. Chosen, not measured: in 110 s, periods of 37 s and more."""
 DELAYS_S: Final = (0.02, 0.05, 0.09, 0.14, 0.2)
-"""Taps of a filter of the commands. Source: AIRFRAME 5.9, 0 to 0.2 s."""
+"""Delays, s, of the taps of a filter on the commands. Source: AIRFRAME 5.9, 0 to 0.2 s."""
 _HEIGHTS_M: Final = (1.0, 3.0)
 _FORCE, _TORQUE = 0, 3
 
 
 @dataclass(frozen=True)
 class Group:
-    """One nameless effect: what a report says of it, and whether the day makes it rather than the vehicle.
+    """One nameless effect: its text in a report, and whether the weather rather than the vehicle causes it.
 
-    `of_air`: always; `of_gusts`: in rougher air than the simulator's, since gusts turn a vehicle too. `own` groups are
-    columns over time, which mean nothing in another flight.
+    `of_air`: always; `of_gusts`: in rougher air than the simulator's, since gusts also turn a vehicle. `own` groups are
+    functions of time, without meaning in another flight.
     """
 
     id: str
@@ -63,7 +63,7 @@ class Column:
     values: Array
 
     def spread(self) -> Array:
-        """On all axes of force and torque (N, 6)."""
+        """The column on all axes of force and torque (N, 6)."""
         out = np.zeros((len(self.values), 6))
         out[:, slice(0, 3) if self.values.ndim == 2 else slice(self.axis, self.axis + 1)] = (
             self.values if self.values.ndim == 2 else self.values[:, None]
@@ -122,7 +122,7 @@ def _commanded(flight: FlownFlight) -> Iterator[Column]:
 
 
 def _beyond(values: Array, named: Array, rows: NDArray[np.bool_]) -> Array:
-    """`values` (N,) without what gain, lag and delay can do: a nameless term that imitates them would take them over.
+    """`values` (N,) orthogonal to gain, lag and delay, which a nameless term would otherwise absorb.
 
     Source: GAP 1, the discrepancy is orthogonal to the catalogue (Plumlee).
     """
@@ -166,6 +166,6 @@ def names_of(columns: tuple[Column, ...]) -> tuple[str, ...]:
 
 
 PREFIX: Final = "free_"
-"""Of the parameters' names in :class:`calib.airframe.physics.Layout`."""
+"""Prefix of the parameter names in :class:`calib.airframe.physics.Layout`."""
 SIZES: Final[Mapping[str, float]] = {"force": 0.15, "torque": 0.5}
 """Prior standard deviation of a column of unit size, m/s2 and rad/s2. Source: gusts of 0.1 to 1 m/s2 (AIRFRAME 2)."""

@@ -1,8 +1,8 @@
-"""Two flights as evidence: what the real one has beside the simulated one, for :mod:`calib.inference`.
+"""Evidence from two flights for differences of the real from the simulated vehicle, for :mod:`calib.inference`.
 
-Both are held against one model. Its parameters are common (what both flights show is an error of the model, and no
-gap); offsets of the sensors and the place of the unit are each flight's own. An effect changes parameters of the
-real flight. The model itself is right to some per cent only (:class:`calib.airframe.fit.Reference`), however long the
+Both flights are fitted with one model. Most parameters are common: what both flights show is an error of the model, not
+a gap. Sensor offsets and the position of the unit are each flight's own. An effect changes parameters of the real
+flight. The model itself is accurate to some per cent only (:class:`calib.airframe.fit.Reference`), however long the
 flight.
 """
 
@@ -29,17 +29,18 @@ Mask = NDArray[np.bool_]
 OWN: Final = ("bias", "lever", "scale")
 """Families of parameters that are each flight's own."""
 _ONLY_REAL: Final = ("weak_", "pulse_", "load", PREFIX)
-"""Parameters that the simulated flight is without; a nameless effect that it has is left out (:func:`shown_by`)."""
+"""Parameters that only the real flight has; a nameless effect in the simulated one is left out (:func:`shown_by`)."""
 STAMPS_S: Final = 0.0025
-"""Standard deviation of what stamps of commands and of the gyroscope are apart. Source: one loop at 400 Hz, at which
-either is stamped (AIRFRAME 3.2)."""
+"""Standard deviation of the time offset between commands and gyroscope, s. Source: one loop at 400 Hz, in which either
+is stamped (AIRFRAME 3.2)."""
 TRIMS: Final = 5e-4
-"""To what part of a full differential command a trim repeats itself. Measured: in 20 pairs of flights of other physics
-without an effect, in other winds, trims of roll and pitch differ by 7e-4 beyond their errors; this is each flight's."""
+"""Repeatability of a trim, as a fraction of a full differential command. Measured: 20 pairs of flights with foreign
+physics, no effect and different winds. Roll and pitch trims differ by 7e-4 beyond their errors; this is the part of
+each flight."""
 DAMPED: Final = 0.03
 """Relative error of the model's damping. Measured: in one flight the ratios of drag and damping differ by 4 % (d13)."""
 _LOOSEST: Final = 1e-4
-"""Precision of a discrepancy that nothing bounds, in units of the prior's: a hundred times as wide."""
+"""Precision of an unbounded discrepancy relative to the prior's: a hundred times as wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +52,24 @@ class Side:
 
     @cached_property
     def own(self) -> Mask:
-        """Which parameters are this flight's own, or were not fitted at all."""
+        """Mask of the parameters that are this flight's own."""
         names = self.fit.layout.names
         return np.array([n.rsplit("_", 1)[0] in OWN or n in OWN for n in names])
 
     @property
     def wind(self) -> Array:
-        """Where the air moves to, north and east (2,), m/s."""
+        """Velocity of the air, north and east (2,), m/s."""
         return np.array([self.fit.value("wind_north"), self.fit.value("wind_east")])
 
     @cached_property
     def says(self) -> Quadratic:
-        """What the flight says of the common parameters; its own are integrated out."""
+        """Log-likelihood of the common parameters; the flight's own are integrated out."""
         whole = Quadratic(self.fit.theta, self.fit.gradient, self.fit.curvature, 0.0)
         return whole.without(self.own, *self.likelihood.priors)
 
     @cached_property
     def discrepancy(self) -> Array:
-        """Precision (P, P) of the common parameters beyond which the model's own errors do not reach."""
+        """Inverse covariance of the common parameters due to the model's own errors."""
         names, place = self.fit.layout.names, self.fit.layout.place
         loosest = np.diag([_LOOSEST / prior_of(n)[1] ** 2 for n in names])
         found = (self.fit.trusted + loosest)[np.ix_(~self.own, ~self.own)]
@@ -84,9 +85,9 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class PairEvidence:
-    """The :class:`calib.inference.model.Evidence` of a real flight beside a simulated one.
+    """The :class:`calib.inference.model.Evidence` of a real and a simulated flight.
 
-    `slewed` is the real flight's side with its rate limit, where one was found.
+    `slewed` is the real flight with its rate limit, where one was found.
     """
 
     real: Side
@@ -101,14 +102,14 @@ class PairEvidence:
 
     @cached_property
     def _places(self) -> NDArray[np.intp]:
-        """Places of the parameters that both flights have in common."""
+        """Indices of the parameters that both flights have in common."""
         return np.flatnonzero(~self.sim.own)
 
     @cached_property
     def _common(self) -> tuple[NDArray[np.intp], Array, Array]:
-        """Those of them that are not zero for certain, among the common ones, and their priors."""
+        """Positions among the common parameters of those that may differ from zero, with prior mean and sd."""
         names = [self.sim.fit.layout.names[r] for r in self._places]
-        # no motor is weak in both flights, and a voltage that stays tells nothing of a simulator's sag
+        # no motor is weak in both flights, and a constant voltage does not determine a simulator's sag
         still = self.sim.likelihood.airframe.voltage_span < SAG_SPAN
         none = {"sag"} if still else set()
         rows = np.array([k for k, n in enumerate(names) if n not in none and not n.startswith(_ONLY_REAL)])
@@ -129,7 +130,7 @@ class PairEvidence:
         made = {False: self.real.says.with_discrepancy(self.real.discrepancy)}
         if self.slewed is not None:
             better = self.slewed.says.with_discrepancy(self.slewed.discrepancy)
-            # both are expansions of one flight: their difference at their own centres is what the limit gains
+            # both are expansions of one flight; the slew limit gains their difference at their own centres
             gain = self.slewed.likelihood.loglik(self.slewed.fit.theta, self.real.fit.spectra)
             gain -= self.real.likelihood.loglik(self.real.fit.theta, self.real.fit.spectra)
             made[True] = replace(better, constant=better.constant + gain)
@@ -183,7 +184,7 @@ class PairEvidence:
         return real, sim
 
     def refined(self, model: Model) -> PairEvidence:
-        """Both flights expanded about that model's best point, with the noise that is left there."""
+        """Both flights expanded about that model's best point, with the residual noise there."""
         real, sim = self.parameters(model, self.posterior(model))
         side = self.side_of(model)
         there = about(side, real)
@@ -203,9 +204,9 @@ def about(side: Side, theta: Array) -> Side:
 
 
 def shown_by(side: Side, effect: AirframeEffect) -> bool:
-    """Whether a flight shows a nameless effect by itself: then it is an error of the model, and tells of no other one.
+    """Whether a flight shows a nameless effect by itself: it is then a model error, not a difference of two flights.
 
-    The marginal likelihood of the flight with the effect beside that without it, about its own best point.
+    Marginal likelihoods of the flight with and without the effect are compared, about its own best point.
     """
     names = [n for n, own in zip(side.fit.layout.names, side.own, strict=True) if not own]
     says = side.says.with_discrepancy(side.discrepancy)
@@ -226,7 +227,7 @@ def shown_by(side: Side, effect: AirframeEffect) -> bool:
 def by_itself(
     likelihood: FlightLikelihood, start: Array | None = None, rounds: int | None = None, *, load: bool = False
 ) -> Array:
-    """The best point of a flight by itself (P,), without a weak motor and without anything nameless.
+    """Best parameters (P,) of a flight alone, without weak motors and nameless effects.
 
     `load`: with a step of the mass.
     """

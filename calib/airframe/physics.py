@@ -1,7 +1,8 @@
 """The forward model of a multicopter: force and torque from commands and motion, one formula an effect (AIRFRAME 2).
 
 Force is the specific force at the inertial unit, m/s2; torque is the angular acceleration, rad/s2. Both are divided by
-mass or inertia: only ratios can be seen. A parameter vector is one flight's airframe; :class:`Layout` names its places.
+mass or inertia, since only ratios are observable. A parameter vector is one flight's airframe; :class:`Layout` names
+its elements.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 AXES: Final = ("x", "y", "z")
 PRODUCTS: Final[tuple[str, ...]] = ("xy", "xz", "yz")
 _FALLING_ROUNDS: Final = 2
-"""Rounds after which a lag that differs for falling commands is known to a hundredth of a doublet. Measured."""
+"""Iterations after which a different lag for falling commands is accurate to 1 % of a doublet. Measured."""
 _PLAIN: Final = (
     "k", "expo", "sag", "c1", "cz", "c2_x", "c2_y", "ch", "climb", "wind_north", "wind_east", "bias_x", "bias_y",
     "bias_z", "lever_x", "lever_y", "lever_z", "gain_x", "gain_y", "gain_z", "damping_x", "damping_y", "damping_z",
@@ -37,12 +38,12 @@ _OF_ROTORS: Final = ("k", "c1", "cz", "climb", "wind_north", "wind_east")
 _OF_FORCE: Final = ("c2_x", "c2_y", "ch", "load")
 _OF_TORQUE: Final = ("torque_x", "torque_y", "torque_z", "cg_x", "cg_y", "spin_up", "flap_x", "flap_y", "gain_x",
                      "gain_y", "gain_z")  # fmt: skip
-"""Parameters that change each step of a prediction, beside those of the step before it. Thrust also depends on the
-parameters of each motor. A step is computed again only if one of its parameters changes."""
+"""Parameters of each step of a prediction, in addition to those of the previous step. Thrust also depends on the
+parameters of each motor. A step is recomputed only if one of its parameters changes."""
 _LEAST_TURNED: Final = 1e-3
-"""Mass by inertia of an axis, 1/m2, in place of a gain that is not positive. Chosen, not measured: small beside 100."""
+"""Mass over inertia of an axis, 1/m2, used if the gain is not positive. Chosen, not measured: small beside 100."""
 _REMEMBERED: Final = 2
-"""Results of a step that are kept: at the point of a derivative, and at the last point beside it."""
+"""Cached results of a step: at the point of a derivative, and at the last shifted point."""
 FORCE_ONLY: Final = frozenset(
     {
         "cz",
@@ -107,7 +108,7 @@ class Layout:
         return {name: k for k, name in enumerate(self.names)}
 
     def start(self, hover: float, gravity: float) -> Array:
-        """A plain airframe that hovers at the mean command `hover`."""
+        """Parameters of a plain airframe that hovers at the mean command `hover`."""
         theta = np.zeros(len(self.names))
         plain = {"expo": 0.5, "c1": 0.3, "c2_x": 0.02, "c2_y": 0.02, "damping_x": 1.0, "damping_y": 1.0}
         for name, value in plain.items():
@@ -119,14 +120,14 @@ class Layout:
 
 
 class _Step:
-    """One step of a prediction, its latest results kept by the parameters at `places`."""
+    """One step of a prediction, with its latest results cached by the parameters at `places`."""
 
     def __init__(self, places: Sequence[int], compute: Callable[[Array], Any]) -> None:
         self._places, self._compute = np.array(places), compute
         self._results: dict[bytes, Any] = {}
 
     def __call__(self, theta: Array) -> Any:
-        """The step's result at a point."""
+        """Result of the step at `theta`."""
         told = theta[self._places].tobytes()
         found = self._results.pop(told) if told in self._results else self._compute(theta)
         if len(self._results) >= _REMEMBERED:
@@ -137,10 +138,10 @@ class _Step:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a family of vehicles or simulators does in its own way; common to both flights of a pair.
+    """Force model of a family of vehicles or simulators; the same for both flights of a pair.
 
-    `drag_by_rotor`: linear drag grows with the rotors' speed; `yaw_by_command`: the yaw reaction goes with command
-    times thrust, as in ArduPilot's simulator; `drag_turns`: that drag acts where the rotors are, and damps turns. In
+    `drag_by_rotor`: linear drag grows with the rotors' speed; `yaw_by_command`: the yaw reaction is proportional to
+    command times thrust, as in ArduPilot's simulator. `drag_turns`: drag acts at the rotors, and damps turns. In
     ArduPilot's simulator of 2023 it acted at the centre (``SIM_Motor.cpp`` took the torque before the drag).
     """
 
@@ -150,7 +151,7 @@ class Kind:
 
     @property
     def rotors_damp(self) -> bool:
-        """Whether another drag of the rotors is another damping too."""
+        """Whether the rotors' drag also sets the damping."""
         return self.drag_by_rotor and self.drag_turns
 
 
@@ -164,9 +165,9 @@ class Airframe:
     kind
         See :class:`Kind`.
     full_voltage
-        At which k is stated, V; None: voltage has no effect.
+        Voltage at which k is stated, V; None: voltage has no effect.
     spin_low
-        Pulse at which a motor starts to turn, in spans of c: what a weak pulse loses at c = 0.
+        Pulse at which a motor starts to turn, relative to the range of c: a weak pulse is reduced by it even at c = 0.
     slew
         Fastest change of a motor's command, 1/s; None: without limit.
     torque
@@ -214,7 +215,7 @@ class Airframe:
         self._commanded = self._grid.spectrum(flight.c if slew is None else _limited(flight, slew))
 
     def changed(self, *, slew: float | None = None, loaded_at: float | None = None) -> Airframe:
-        """The same flight with another limit on the commands, or another moment of a load; None: as it is."""
+        """The same flight with another rate limit of the commands, or time of a load change; None: unchanged."""
         return Airframe(
             self.flight,
             self.kind,
@@ -238,7 +239,7 @@ class Airframe:
 
     @cached_property
     def free_signals(self) -> Array:
-        """What one unit of each nameless parameter does (F, N, 6), filtered as the sensors are."""
+        """Force and torque (F, N, 6) by one unit of each nameless parameter, filtered as the sensors are."""
         made = [c.spread() for c in self.free]
         for rows in made:
             for at, sensor in ((slice(0, 3), Sensor.ACCEL), (slice(3, 6), Sensor.GYRO)):
@@ -273,7 +274,7 @@ class Airframe:
         return force, torque
 
     def thrusts(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Normalised thrust (N, n) of each motor, what turns the vehicle about z, and the rotors' relative speeds."""
+        """Normalised thrust (N, n) of each motor, its yaw reaction, and the rotors' relative speeds."""
         found: tuple[Array, Array, Array] = self._thrusts(theta)
         return found
 
@@ -293,9 +294,10 @@ class Airframe:
         return lambda name: float(theta[place[name]])
 
     def _followed(self, delay: float, tau: float, fall: float) -> Array:
-        """Commands as the motors follow them (N, n): delayed, limited in rate, with a first-order lag.
+        """Commands as the motors follow them (N, n): delayed, rate-limited, with a first-order lag.
 
-        A lag that is longer where a command falls is the plain one of a command that is led on by its own fall.
+        A longer lag for falling commands is computed as the plain lag of a command that is extended by its own rate of
+        fall.
         """
         grid, response = self._grid, self._grid.behind(delay, tau)
         found = grid.series(self._commanded, response)
@@ -316,7 +318,7 @@ class Airframe:
         return self._air[2]
 
     def _rotors_of(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Specific forces of each rotor along x, y and z, (N, n) each, which act where it is."""
+        """Specific forces of each rotor along x, y and z, (N, n) each, acting at the rotor."""
         of, thrust = self._of(theta), self.thrusts(theta)[0]
         k, v, n = of("k"), self.air_velocity(theta), self.layout.motors
         drive = self._drive(thrust, k)
@@ -326,11 +328,11 @@ class Airframe:
         return across * v[:, :1], across * v[:, 1:2], along
 
     def _inflow(self, theta: Array) -> Array:
-        """Airspeed along the thrust (N,), m/s; 0 where the vehicle falls."""
+        """Airspeed along the thrust (N,), m/s; 0 in a descent."""
         return np.clip(-self.air_velocity(theta)[:, 2], 0.0, None)
 
     def _drive(self, thrust: Array, k: float) -> Array:
-        """Speed of each rotor over that in hover (N, n); 1 for a vehicle whose drag does not grow with it."""
+        """Speed of each rotor relative to hover (N, n); 1 for a vehicle whose drag does not depend on it."""
         if not self.kind.drag_by_rotor:
             return np.ones_like(thrust)
         return np.sqrt(np.clip(thrust, 0.0, None) * (max(k, 1.0) / self.flight.gravity))
@@ -346,7 +348,7 @@ class Airframe:
         return self._grid.through(f, self._filters[Sensor.ACCEL])
 
     def _at_unit(self, theta: Array) -> Array:
-        """What the unit's place and its offsets add: from the measured rates, which are filtered already."""
+        """Contribution of the unit's position and offsets, from the measured rates, which are already filtered."""
         of = self._of(theta)
         lever = np.array([of(f"lever_{a}") for a in AXES])
         w = self.flight.rate
@@ -383,7 +385,7 @@ class Airframe:
 
     @cached_property
     def _twists(self) -> Array:
-        """The rate's cross product with the angular momentum of each product of inertia of 1 (3, N, 3)."""
+        """Cross product (3, N, 3) of the rate with the angular momentum of each product of inertia of one."""
         p, q, r = self.flight.rate.T
         xy = np.column_stack([-r * p, q * r, p * p - q * q])
         xz = np.column_stack([p * q, r * r - p * p, -q * r])
@@ -391,13 +393,16 @@ class Airframe:
         return np.array([xy, xz, yz])
 
     def _turned_by(self, theta: Array) -> Array:
-        """Mass by inertia of each axis (3,), 1/m2: its gain by the thrust at its arm; flat, I_z = I_x + I_y."""
+        """Mass over inertia of each axis (3,), 1/m2: gain over thrust at its arm; of a flat body, I_z = I_x + I_y."""
         of = self._of(theta)
         x, y = (max(of(f"gain_{a}") / (of("k") * self._lever), _LEAST_TURNED) for a in "xy")
         return np.array([x, y, 1.0 / (1.0 / x + 1.0 / y)])
 
     def _by_rates(self, theta: Array) -> Array:
-        """A rotor's thrust falls with the square of its inflow: the faster it is, the more a turn takes off it."""
+        """Torque from body rates: products of rates, and damping.
+
+        Damping grows with the inflow, since a rotor's thrust falls with the square of it.
+        """
         of = self._of(theta)
         damping = np.array([of(f"damping_{a}") for a in AXES])
         cross = np.array([of(f"cross_{a}") for a in AXES])
@@ -407,14 +412,14 @@ class Airframe:
 
 
 def _limited(flight: FlownFlight, most: float) -> Array:
-    """Commands on the grid (N, n) of motors that change by at most `most` 1/s; limited at the rate that was logged."""
+    """Commands on the grid (N, n), rate-limited to `most` 1/s at the logged rate."""
     told = flight.commands
     steps = most * np.diff(told.t, prepend=told.t[0])
     return on_grid(flight.t, told.t, slewed(told.c, steps), told.rate_hz)
 
 
 def slewed(c: Array, most: Array) -> Array:
-    """`c` (N, n) that changes by at most `most` (N,) from row to row."""
+    """`c` (N, n), limited to a change of `most` (N,) from row to row."""
     steps = most.tolist()
     out = []
     for column in c.T.tolist():  # plain floats: a row of numpy takes ten times as long

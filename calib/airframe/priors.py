@@ -17,15 +17,16 @@ _PRIORS: Final[Mapping[str, tuple[float, float]]] = {
     "pulse": (0.0, 0.15), "scale": (0.0, 0.003), "load": (0.0, 0.3), "bias_z": (0.0, 0.03),
     "rise": (0.0, 5e-4), "product": (0.0, 0.1),
 }  # fmt: skip
-"""Mean and standard deviation of each parameter, or of its family, before a flight is seen. Source: the sizes on real
-small drones in AIRFRAME 2 and 2.1, doubled. `flap` is mostly the rotors' drag, which acts above the centre of mass: 0.5
-1/s at 3 cm, with mass over inertia of 100 to 400 1/m2. A flap of 2.3 with a prior of 0.3 made an inertia of -34 %.
-`rise` is 3e-4 for ArduPilot's simulated quad; without it, 7 m/s of wind damped turns by a quarter more."""
+"""Prior mean and standard deviation of each parameter, or of its family. Source: the sizes on real small drones in
+AIRFRAME 2 and 2.1, doubled. `flap` is mostly the rotors' drag, which acts above the centre of mass: 0.5 1/s at 3 cm,
+with mass over inertia of 100 to 400 1/m2. A flap of 2.3 with a prior of 0.3 made an inertia of -34 %. `rise` is 3e-4
+for ArduPilot's simulated quad; without it, 7 m/s of wind damped turns by a quarter more."""
 ENDS: Final[Mapping[str, tuple[float, float]]] = {
     "tau": (-0.02, 0.5), "delay": (-0.03, 0.2), "expo": (-0.5, 1.2), "k": (5.0, 200.0), "cg_x": (-0.5, 0.5),
     "cg_y": (-0.5, 0.5), "spin_up": (-0.1, 1.0), **{f"product_{pair}": (-0.3, 0.3) for pair in PRODUCTS},
 }  # fmt: skip
-"""Beyond these a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real drones."""
+"""Limits beyond which a vehicle does not fly, or the formula has no meaning. Source: AIRFRAME 2, sizes on real
+drones."""
 _STEPS: Final[Mapping[str, float]] = {"tau": 1e-3, "delay": 2e-3, "fall": 1e-3, "expo": 1e-3}
 
 

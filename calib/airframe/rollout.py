@@ -1,7 +1,7 @@
-"""How far the predicted flight is off: velocity and body rate from measured starts, before and after each effect.
+"""Errors of the predicted flight: velocity and body rate from measured starts, before and after each effect.
 
-Velocity follows from a force through the measured attitude, body rate from a torque; the floor is the same rollout with
-the measured force or torque, which integrates errors of the sensors and of the estimator only.
+Velocity follows from a force through the measured attitude, body rate from a torque. The floor is the same rollout with
+the measured force or torque: it integrates only errors of sensors and estimator.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ Mask = NDArray[np.bool_]
 
 VELOCITY_HORIZONS_S: Final = (0.5, 1.0, 2.0)
 RATE_HORIZONS_S: Final = (0.1, 0.2)
-"""Source: AIRFRAME 5.5."""
+"""Horizons of the predictions, s. Source: AIRFRAME 5.5."""
 BLOCK_S: Final = 10.0
-"""Length of the stretches that are held out by turns. Source: AIRFRAME 5.7."""
+"""Length of the stretches that are held out in turn, s. Source: AIRFRAME 5.7."""
 _EVERY_S: Final = 0.25
 _RESAMPLED: Final = 200
 _LEAST: Final = 20
 _WIDEST: Final = 1.0
 _PLAIN: Final = 2
-"""Rows of errors where no effect was added: the simulator's own, and the floor."""
+"""Number of error rows without an added effect: the simulator's own, and the floor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Predicted:
 
 
 def folds(airframe: Airframe) -> tuple[Mask, Mask]:
-    """Alternate stretches of the flight (N,): each is held out once."""
+    """Masks (N,) of alternate stretches of the flight: each is held out once."""
     t = airframe.flight.t
     odd = ((t - t[0]) // BLOCK_S).astype(int) % 2 == 1
     return odd, ~odd
@@ -62,8 +62,8 @@ def rollouts(
     airframe
         Of the real flight.
     held_out
-        For each fold its rows (N,), and the predictions of airframes that were fitted without them: the simulator's
-        first, then with one effect more each.
+        For each fold its rows (N,), and the predictions of airframes fitted without them: the simulator's, then each
+        with one more effect.
     torque
         Whether body rates are predicted.
     part
@@ -109,7 +109,7 @@ def _one(
 
 
 def _closed(errors: Array) -> tuple[float | None, tuple[float, float] | None]:
-    """Part of the error beyond the floor that is closed, from squared errors (models, starts), and its interval."""
+    """Fraction of the error above the floor that is closed, from squared errors (models, starts), and its interval."""
 
     def share(some: Array) -> float:
         before, after, floor = np.sqrt(some[[0, -2, -1]].mean(axis=1))

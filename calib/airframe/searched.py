@@ -1,6 +1,6 @@
-"""Parameters without a useful derivative: when a load changes, and a limit on the rate of a motor's command.
+"""Parameters without a useful derivative: the time of a load change, and the rate limit of a motor's command.
 
-Both are searched for on a grid, and the flight is then fitted with what suits it best.
+Both are searched for on a grid, and the flight is then fitted with the best value.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ Array = NDArray[np.float64]
 
 _SMOOTH_S: Final = 0.5
 _EDGE_S: Final = 5.0
-"""Seconds at both ends of a flight in which no step can be found. Chosen, not measured: a hover of some seconds."""
+"""Time, s, at both ends of a flight without a search for a step. Chosen, not measured: a hover of some seconds."""
 _LEAST_STEP: Final = 0.01
-"""Part of the mass below which a step is not looked at. Source: a third of the least that AIRFRAME 6 asks for."""
+"""Least step, as a fraction of the mass. Source: a third of the smallest step in AIRFRAME 6."""
 _RATES: Final = (6.0, 4.0, 3.0, 2.5, 2.0, 1.7, 1.4, 1.2, 1.0, 0.8, 0.6, 0.5, 0.4)
-"""Limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
+"""Rate limits that are tried, 1/s. Source: the range of AIRFRAME 6, 0.5 to 4, and beyond."""
 _REACHED: Final = 99.8
-"""Percentile of the commands' own rates that a limit has to lie below so that it shows. Chosen, not measured."""
+"""Percentile of the commands' own rates that a visible limit lies below. Chosen, not measured."""
 _SPREADS: Final = (0.15, 0.05)
-"""Parts of a limit by which it is refined, one after the other. Source: the grid's own steps."""
+"""Relative steps of the refinement of a limit, one after the other. Source: the grid's own steps."""
 _WORTH: Final = 10.0
 """Nats that a limit must gain before the flight is fitted with it. Chosen, not measured: the contest decides."""
 _LOST: Final = 3
-"""Limits that must all lose likelihood before slower ones are left out. Source: even a limit that is too fast helps."""
+"""Consecutive limits that must lose likelihood before slower ones are skipped. Source: even too high a limit helps."""
 
 
 def with_load(likelihood: FlightLikelihood, theta: Array) -> FlightLikelihood:
-    """The same flight with a step of its mass allowed at the moment where it suits the vertical force best."""
+    """The flight with a step of its mass allowed, at the time that fits the vertical force best."""
     flight = likelihood.airframe.flight
     predicted, _ = likelihood.airframe.predicted(theta)
     width = max(round(_SMOOTH_S * flight.fs), 1)
@@ -60,10 +60,10 @@ def with_load(likelihood: FlightLikelihood, theta: Array) -> FlightLikelihood:
 
 
 def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tuple[Side, float] | None:
-    """The real flight's side with the rate limit that suits it best, and the limit, 1/s; None: none is reached.
+    """The real flight with its best rate limit, and the limit, 1/s; None: no limit is reached.
 
-    Limits are compared at the simulator's own airframe in the real flight's wind: a fit without a limit has lost it
-    already, and one with a wrong limit makes up for it. `effects` may stand beside it.
+    Limits are compared with the simulator's airframe in the real flight's wind. A fit without a limit, or with a wrong
+    one, would compensate for it. `effects` may be present as well.
     """
     likelihood = side.likelihood
     told = likelihood.airframe.flight.commands
@@ -95,7 +95,7 @@ def with_limit(side: Side, sim: Side, effects: Sequence[AirframeEffect]) -> tupl
 
 
 def _evidence(pair: PairEvidence) -> float:
-    """The evidence for the limit alone, or for the limit and the one effect that helps most."""
+    """Evidence of the limit alone, or of the limit with the one effect that helps most."""
     limit = next(e.block for e in pair.effects if e.slew)
     lone = [frozenset({limit, e.block}) for e in pair.effects if not e.slew and e.exclusive != "motor_lag"]
     return max(pair.posterior(model).log_evidence for model in (frozenset({limit}), *lone))

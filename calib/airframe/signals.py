@@ -1,7 +1,7 @@
-"""Series on one grid: sampled without what the grid cannot hold, and filters by their response in frequency.
+"""Series on one grid: anti-aliased sampling, and filters by their frequency response.
 
-A filter that runs at 400 Hz in a firmware is another one when it is written for 100 Hz: at its corner it is late by a
-quarter of a row. So are differences of neighbours, and delays by interpolation. Responses in frequency are exact.
+A firmware's filter at 400 Hz differs from the same filter designed for 100 Hz: at its corner it is late by a quarter of
+a row. Differences of neighbours and delays by interpolation err likewise. Frequency responses are exact.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
 
 PASSED: Final = 0.35
-"""Part of the grid's rate up to which a series is kept. Source: torque is judged up to a fifth of it."""
+"""Pass band as a fraction of the grid's rate. Source: torque is judged up to a fifth of it."""
 _FASTER: Final = 1.2
-"""Rate, in rates of the grid, above which a series folds back. Chosen, not measured: loops jitter by less."""
+"""Rate, relative to the grid's, above which a series is low-passed first. Chosen, not measured: loops jitter by
+less."""
 _PADDED_S: Final = 2.0
-"""At either end of a series. Source: ten lags of 0.2 s, the longest of a small vehicle (AIRFRAME 2)."""
+"""Padding at either end of a series, s. Source: ten lags of 0.2 s, the longest of a small vehicle (AIRFRAME 2)."""
 
 
 def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
-    """`values` (N, k) at `rate` Hz without what a grid of `grid_hz` would fold back; no phase is changed."""
+    """`values` (N, k) at `rate` Hz, low-passed with zero phase against aliasing on a grid of `grid_hz`."""
     corner = PASSED * grid_hz
     if rate < _FASTER * grid_hz or len(values) < 50:
         return values
@@ -34,7 +35,7 @@ def kept_below(values: Array, rate: float, grid_hz: float) -> Array:
 
 
 def kept_power(hz: Array, rate: float, grid_hz: float) -> Array:
-    """Part of the power at `hz` that :func:`kept_below` keeps."""
+    """Power gain of :func:`kept_below` at `hz`."""
     if rate < _FASTER * grid_hz:
         return np.ones_like(hz)
     return np.asarray((1.0 + (hz / (PASSED * grid_hz)) ** 8) ** -2.0)
@@ -47,7 +48,7 @@ def spline(stamps: Array, values: Array) -> CubicSpline:
 
 
 class Grid:
-    """Filters for series of `rows` rows at `fs` Hz. A series begins at rest in its first value."""
+    """Filters for series of `rows` rows at `fs` Hz, which begin settled at their first value."""
 
     def __init__(self, rows: int, fs: float) -> None:
         self._rows, self._lead = rows, round(_PADDED_S * fs)
@@ -55,7 +56,7 @@ class Grid:
         self._s = 2j * np.pi * rfftfreq(self._size, 1.0 / fs)
 
     def spectrum(self, values: Array) -> Response:
-        """Spectrum of a series (N, k); it is led back to its first value, so that its end does not reach its start."""
+        """Spectrum of a series (N, k), padded back to its first value, so that its end does not wrap around."""
         left = self._size - self._rows - self._lead
         back = 0.5 + 0.5 * np.cos(np.pi * (np.arange(left) + 0.5) / left)
         after = values[:1] + back[:, None] * (values[-1:] - values[:1])

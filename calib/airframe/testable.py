@@ -1,4 +1,4 @@
-"""Which effects two flights can show at all, and what would be needed for the others (AIRFRAME 5.8)."""
+"""Effects that two flights can show, and what the others would need (AIRFRAME 5.8)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from mavcal.calib.airframe.physics import AXES
 Array = NDArray[np.float64]
 
 TORQUE_HZ: Final = 90.0
-"""Rate of commands and gyroscope from which on torque is judged. Source: AIRFRAME 5.7, torque needs 100 Hz; a log at
-loop rate may miss a row in ten."""
+"""Least rate, Hz, of commands and gyroscope to judge torque. Source: AIRFRAME 5.7, torque needs 100 Hz; a log at loop
+rate may lack one row in ten."""
 COMMAND_HZ: Final = 40.0
-"""Rate of commands from which on the shape of thrust is judged. Source: AIRFRAME 5.7, 50 Hz told curve and lag."""
+"""Least rate, Hz, of commands to judge the shape of thrust. Source: AIRFRAME 5.7, 50 Hz resolved curve and lag."""
 _RUN: Final = 3.0
 _FAST: Final = 7.5
 _CLIMB: Final = 1.0
@@ -27,20 +27,20 @@ _LIFT_SPAN: Final = 0.15
 _SAG_SPAN: Final = 0.06
 _LEAST_TURNS: Final = 0.03
 _MOST_LIMITED: Final = 0.2
-"""Numbers of AIRFRAME 5.8: speed both ways, m/s; speed through the air for a square law (8 m/s reached in part of a
-flight); climbs; span of the collective command; of the voltage; part of a flight in which it is made to turn; part at a
+"""Requirements of AIRFRAME 5.8: speed both ways, m/s; airspeed for a square law (8 m/s in a fraction of a flight). Then
+climbs; range of the collective command; of the voltage; fraction of a flight in commanded turns; fraction at a
 limit."""
 _LEAST_RATE: Final = 0.1
-"""rad/s that an axis reaches in a hundredth of a flight in which it is made to turn. Chosen, not measured: a doublet of
-10 degrees reaches 0.5, a calm hover 0.03."""
+"""Rate, rad/s, that an axis exceeds for a hundredth of a flight with commanded turns. Chosen, not measured: a doublet
+of 10 degrees reaches 0.5, a calm hover 0.03."""
 
 
 @dataclass(frozen=True)
 class Missing:
     """An effect that these flights could not have shown, why, and what would be needed.
 
-    `latent`: it may still be in them. Then it competes, so that no other effect takes its place, and is not named.
-    `axes`: it could not have been shown about these axes alone; all of them where there is none.
+    `latent`: it may still be present. It then competes, so that no other effect absorbs it, but is not named. `axes`:
+    only these could not have shown it; empty: none could.
     """
 
     id: str
@@ -51,7 +51,7 @@ class Missing:
 
     @property
     def wholly(self) -> bool:
-        """Whether the effect is left out altogether, and does not even compete."""
+        """Whether the effect is left out altogether and does not compete."""
         return not self.latent and not self.axes
 
 
@@ -82,7 +82,7 @@ def _missing(real: FlightLikelihood, sim: FlightLikelihood, winds: tuple[Array, 
 
 
 def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
-    """Effects that slow logs, or flights without turns, cannot show."""
+    """Effects that need faster logs, or turns."""
     log = LOG_BITS if pair["real"].airframe.flight.ardupilot else PROFILE_BITS
     rates = {w: min(f.airframe.flight.command_hz, f.airframe.flight.inertial_hz) for w, f in pair.items()}
     slow = min(rates, key=lambda w: rates[w])
@@ -105,7 +105,7 @@ def _by_rates(pair: Mapping[str, FlightLikelihood]) -> Iterator[Missing]:
 
 
 def _by_axis(which: str, one: FlightLikelihood) -> Iterator[Missing]:
-    """Effects that a flight cannot show about an axis about which it hardly turns."""
+    """Effects that need turns about an axis about which the flight hardly turns."""
     flight = one.airframe.flight
     rates = np.percentile(np.abs(flight.rate[flight.usable]), 99.0, axis=0)
     for axis, name, rate in zip(AXES, ("roll", "pitch", "yaw"), rates, strict=True):
@@ -118,7 +118,7 @@ def _by_axis(which: str, one: FlightLikelihood) -> Iterator[Missing]:
 
 
 def _by_motion(which: str, one: FlightLikelihood, wind: Array) -> Iterator[Missing]:
-    """Effects that a flight too slow, too level or too steady cannot show."""
+    """Effects that need a faster, less level or less steady flight."""
     flight = one.airframe.flight
     rows = flight.usable
     level = np.hypot(*flight.velocity[rows, :2].T)
@@ -142,7 +142,7 @@ def _by_motion(which: str, one: FlightLikelihood, wind: Array) -> Iterator[Missi
 
 
 def unusable(one: FlightLikelihood) -> str | None:
-    """Why a whole flight says nothing: too much of it at a limit; None: it can be judged."""
+    """Why a whole flight cannot be judged: too much of it is at a limit; None: it can."""
     limited = float(one.airframe.flight.limited.mean())
     if limited > _MOST_LIMITED:
         return f"a motor is at its limit in {100 * limited:.0f} % of the flight"

@@ -10,7 +10,7 @@ STANDARD_FLIGHT: Final = (
     "along x and along y; four yaw steps of 90 degrees; 5 s of sharp roll and pitch doublets; hover; a slow landing; "
     "rest 5 s"
 )
-"""The 90 s that show every effect. Source: AIRFRAME 5.10."""
+"""The standard flight of 90 s; it shows every effect but those of :data:`BESIDE_STANDARD`. Source: AIRFRAME 5.10."""
 FIXES: Final[Mapping[str, str]] = {
     "thrust_scale": "throttle steps over 0.3, and 10 s of rest before arming for the accelerometer's own scale",
     "thrust_expo": "throttle steps over 0.3: climbs and descents at 2 to 4 m/s",
@@ -35,4 +35,4 @@ FIXES: Final[Mapping[str, str]] = {
     "wind": "runs out and back, and a turn through all headings",
 }
 BESIDE_STANDARD: Final = frozenset({"air_density", "ground_effect"})
-"""What the standard flight does not show."""
+"""Effects that the standard flight does not show."""

@@ -1,4 +1,4 @@
-"""Axes with lines, dots, bands and bars. A colour is what a style sheet knows: ``#1f6fb2``, ``var(--model)``."""
+"""Axes with lines, dots, bands and bars. Colours are CSS colours: ``#1f6fb2``, ``var(--model)``."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Chart:
     log_x: bool = False
     log_y: bool = False
     legend_inside: bool = False
-    """The legend stands in the upper right corner of the axes: for names that are long; else above them."""
+    """Draw the legend in the upper right corner of the axes, for long names; else above them."""
     legend_rows: int = 1
-    """Rows of the legend above the axes, which begin that much lower."""
+    """Rows of the legend above the axes, which are moved down to make room."""
     x_names: Sequence[str] = ()
     """Words at 0, 1, 2 ... of x instead of numbers."""
     parts: list[Markup] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Chart:
         self._named(colour, name)
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str) -> None:
-        """The room between two lines, in the colour of the line that it belongs to."""
+        """The area between two lines, in the colour of its line."""
         u, bottom = self._shares(x, low)
         _, top = self._shares(x, high)
         kept = (u >= 0.0) & (u <= 1.0) & np.isfinite(bottom) & np.isfinite(top)
@@ -77,7 +77,7 @@ class Chart:
         self._named(colour, name)
 
     def dots(self, x: ArrayLike, y: ArrayLike, colour: str, name: str = "", *, size: float = 1.4) -> None:
-        """A dot a point: one path, so that many stay small."""
+        """One dot for each point, all in one path to keep the file small."""
         self.parts.append(dotted(*self._inside(x, y), colour, size=size))
         self._named(colour, name, dots=True)
 
@@ -95,7 +95,7 @@ class Chart:
         self._named(colour, name, dots=True)
 
     def mark(self, x: float, words: str, colour: str) -> None:
-        """An upright line with a word."""
+        """A vertical line with a label."""
         (a,), _ = self._at(*self._shares([x], [self.y[0]]))
         self.parts.append(
             Markup('<path d="M{:.1f} {}V{}" style="stroke:{}" stroke-dasharray="4 3"/>').format(
@@ -140,12 +140,12 @@ class Chart:
         return shares(x, self.x, log=self.log_x), shares(y, self.y, log=self.log_y)
 
     def _inside(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Places of the points that lie within the axes."""
+        """Picture coordinates of the points that lie within the axes."""
         u, v = self._shares(x, y)
         within = (u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)
         return self._at(u[within], v[within])
 
     def _at(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Places in the picture of shares of both axes."""
+        """Picture coordinates of points given as fractions of both axes."""
         tall = self.height - self._top - _BOTTOM
         return _LEFT + u * (self.width - _LEFT - _RIGHT), self.height - _BOTTOM - v * tall

@@ -10,7 +10,7 @@ from mavcal.calib.drawing.legend import LETTER
 from mavcal.calib.drawing.picture import svg, text
 
 _STEEP = 0.87
-"""Height of a letter's width in the turned names of columns."""
+"""Height per letter width of the rotated column names."""
 
 
 def heat(
@@ -21,7 +21,7 @@ def heat(
     *,
     colour: str,
 ) -> Markup:
-    """A table of coloured cells: (row, column, 0..1, words for the pointer); empty ones are blank."""
+    """A table of coloured cells: (row, column, 0..1, tooltip); missing cells are blank."""
     left, wide, tall = 128.0, 17.0, 17.0
     longest = LETTER * max(map(len, columns), default=0)
     top = 14.0 + _STEEP * longest

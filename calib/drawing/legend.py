@@ -1,4 +1,4 @@
-"""Legends: what each colour means, with a sign of how it is drawn."""
+"""Legends: the meaning of each colour, with a sample of its line or dots."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def above(keys: Sequence[Key], left: float, rows: int = 1) -> list[Markup]:
 
 
 def inside(keys: Sequence[Key], right: float, top: float) -> list[Markup]:
-    """The keys below each other in an upper right corner."""
+    """The keys one below another in an upper right corner."""
     out = []
     for k, key in enumerate(keys):
         y = top + 12 + ROW * k

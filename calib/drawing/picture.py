@@ -23,7 +23,7 @@ _RULES = (
     ".edge{fill:none;stroke:#6b7a86}",
 )
 SHEET = Markup(" ").join(Markup(".drawn {}").format(rule) for rule in _RULES)
-"""The style of a file, and of nothing around it in a notebook; a page has its own rules for the same classes."""
+"""Style of an SVG file, without effect on a notebook around it; a page has its own rules for the same classes."""
 _HEADING = 30
 
 
@@ -43,13 +43,13 @@ class Picture(Protocol):
 
 
 def text(x: float, y: float, words: str, *, anchor: str = "start", kind: str = "") -> Markup:
-    """Words at a place; `kind` is a class of the style sheet."""
+    """Text at a position; `kind` is a class of the style sheet."""
     style = Markup(' class="{}"').format(kind) if kind else ""
     return Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}"{}>{}</text>').format(x, y, anchor, style, words)
 
 
 def dotted(x: Array, y: Array, colour: str, *, size: float, opacity: float = 0.75) -> Markup:
-    """A dot at each place, all of them one path."""
+    """A dot at each position, all in one path."""
     path = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x, y, strict=True))
     return Markup(
         '<path d="{}" fill="none" style="stroke:{}" stroke-width="{:g}" stroke-linecap="round" opacity="{:g}"/>'
@@ -116,7 +116,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Blank:
-    """Room without axes, with a word why there is nothing."""
+    """An empty panel that states why nothing is drawn."""
 
     words: str
     width: int

@@ -16,7 +16,7 @@ _MOST_POINTS = 600
 
 
 def shares(values: ArrayLike, limits: tuple[float, float], *, log: bool) -> Array:
-    """Places of values between `limits`, 0..1; values that are not positive lie at the foot of a logarithmic axis."""
+    """Positions of values between `limits`, 0..1; on a logarithmic axis values that are not positive lie at 0."""
     found = np.asarray(values, dtype=np.float64)
     low, high = limits
     if log:
@@ -26,7 +26,7 @@ def shares(values: ArrayLike, limits: tuple[float, float], *, log: bool) -> Arra
 
 
 def runs_inside(u: Array, v: Array) -> list[list[Point]]:
-    """The parts of a line through points (shares of both axes) that lie inside the axes, broken where nothing is."""
+    """Pieces inside the axes of a line through points (fractions of both axes), broken at non-finite points."""
     runs: list[list[Point]] = []
     points = list(zip(u.tolist(), v.tolist(), strict=True))
     if len(points) > 1 and np.all((u >= 0.0) & (u <= 1.0) & (v >= 0.0) & (v <= 1.0)):
@@ -61,7 +61,7 @@ def _cut(start: Point, end: Point) -> tuple[Point, Point] | None:
 
 
 def _edges(start: Point, end: Point) -> Iterator[tuple[float, float]]:
-    """For each of the four edges how far `start` is inside of it, and how far the line goes towards its outside."""
+    """For each of the four edges, the distance of `start` inside it, and the extent of the line outwards."""
     for a, b in zip(start, end, strict=True):
         yield a, a - b
         yield 1.0 - a, b - a
@@ -90,7 +90,7 @@ def ticks(limits: tuple[float, float], *, log: bool) -> list[tuple[float, str]]:
 
 
 def limits_of(*values: ArrayLike, log: bool = False, zero: bool = False) -> tuple[float, float]:
-    """Limits that hold the finite ones of `values`, with some room; never empty."""
+    """Limits that contain the finite `values` with a margin; never empty."""
     found = np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in values])
     found = found[np.isfinite(found) & ((found > 0.0) | (not log))]
     if not len(found):

@@ -19,11 +19,11 @@ _UP: Final = np.array(
     [-np.sin(_ELEVATION) * np.cos(_AZIMUTH), -np.sin(_ELEVATION) * np.sin(_AZIMUTH), np.cos(_ELEVATION)]
 )
 _REACH: Final = float(np.abs(_RIGHT).sum()), float(np.abs(_UP).sum())
-"""Half width and half height of a cube of half edge one."""
+"""Half width and half height of the projection of a cube of half edge one."""
 _CORNERS: Final = (np.array([-1, -1, -1]), np.array([1, -1, -1]), np.array([-1, -1, -1]))
-"""Where the numbers of each axis begin: two lower edges in front, and the upright one on the left."""
+"""Start of the edge that carries each axis's numbers: two lower edges in front, and the vertical one on the left."""
 _BACK: Final = (-1, 1, -1)
-"""The walls that stand behind everything."""
+"""The three walls behind the data."""
 _TOP, _BOTTOM, _SIDE = 40, 40, 70
 
 
@@ -70,7 +70,7 @@ class SpaceView:
         return Markup().join([*out, *self.parts, *above(self.legend, (self.width - wide) / 2)])
 
     def _axis(self, axis: int) -> list[Markup]:
-        """Rules at round numbers and at both ends on the walls behind, the numbers, and the name of the axis."""
+        """Grid lines on the walls behind, at round numbers and both ends, with the numbers and the axis's name."""
         limits = float(self.middle[axis] - self.half), float(self.middle[axis] + self.half)
         out: list[Markup] = []
         anchor = ("end", "start", "end")[axis]
@@ -91,14 +91,14 @@ class SpaceView:
         return out
 
     def _rule(self, axis: int, share: float, wall: int) -> Array:
-        """Both ends of a rule at `share` of an axis, on one of the walls behind."""
+        """Both ends of a grid line at `share` of an axis, on one of the walls behind."""
         ends = np.empty((2, 3))
         ends[:, axis], ends[:, wall] = share, _BACK[wall]
         ends[:, 3 - axis - wall] = -1.0, 1.0
         return self.middle + self.half * ends
 
     def _edge(self, axis: int, share: float) -> tuple[float, float]:
-        """Place of the number at `share` of an axis."""
+        """Picture coordinates of the number at `share` of an axis."""
         place = _CORNERS[axis].astype(np.float64)
         place[axis] = share
         (x,), (y,) = self._at((self.middle + self.half * place)[None, :])
@@ -108,7 +108,7 @@ class SpaceView:
         return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(*self._at(points), strict=True))
 
     def _at(self, points: Array) -> tuple[Array, Array]:
-        """Places in the picture of points (N, 3)."""
+        """Picture coordinates of points (N, 3)."""
         wide, tall = self.width - 2 * _SIDE, self.height - _TOP - _BOTTOM
         scale = min(wide / (2.0 * _REACH[0]), tall / (2.0 * _REACH[1])) / self.half
         away = points - self.middle

@@ -1,7 +1,7 @@
 """Firmware knowledge: streams, parameters, undoing of corrections, write plans and proofs.
 
-The knowledge of each firmware lies in its own modules; what is defined here asks for the autopilot by name
-(``ardupilot`` or ``px4``, as in :class:`calib.recording.Identity`).
+The knowledge of each firmware is in its own modules; functions defined here take the autopilot by name (``ardupilot``
+or ``px4``, as in :class:`calib.recording.Identity`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mavcal.calib.triad import TriadModel
 
 _MODULES = {"ardupilot": ardupilot, "px4": px4}
 TITLES = MappingProxyType({"ardupilot": "ArduPilot", "px4": "PX4"})
-"""The autopilots whose calibrations are known, as a person calls them."""
+"""Display names of the autopilots whose calibrations are known."""
 
 
 def _of(autopilot: str | None) -> ModuleType:
@@ -66,9 +66,9 @@ def body_from_sensor(
 
 
 def turning_spoils(parameters: Mapping[str, Value]) -> str:
-    """A warning where the vehicle takes a steady turn for a gyro offset and corrects it; empty: it does not.
+    """Warning if the vehicle may correct a steady turn as a gyro offset; empty: it does not.
 
-    What changes its offsets in the middle of a capture spoils it.
+    A change of offsets during a capture spoils it.
     """
     if parameters.get("IMU_GYRO_CAL_EN") != 1:
         return ""

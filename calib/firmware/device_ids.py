@@ -1,7 +1,7 @@
 """The unique id of a flight controller, and the device id of a part: bus, address and type (FLIGHT_CONTROLLERS 1.5).
 
 Both firmwares pack a device id alike and number the types differently, so an id is read with its autopilot's table. It
-names no single part: an equal board has equal ids.
+does not identify a single part: an identical board has the same ids.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def is_simulation_id(uid: int) -> bool:
 
 
 def unit_id(autopilot: str | None, uid2: bytes, uid: int) -> str | None:
-    """Hexadecimal, trailing zeros cut; None for what is no unit's own: zero, ones, an id that boards of a kind share.
+    """Hexadecimal id without trailing zeros; None if not unique: zero, all ones, or an id shared by boards of a kind.
 
     PX4's simulator adds its system id less one to both numbers (mavlink_main.cpp, send_autopilot_capabilities): two of
     them with one system id say the same.
@@ -90,7 +90,7 @@ _PX4: Final = _table(
 
 @dataclass(frozen=True)
 class DevicePart:
-    """A device id taken apart."""
+    """A decoded device id."""
 
     bus: str
     """``I2C``, ``SPI`` ...; empty: a bus type that is not known."""
@@ -103,7 +103,7 @@ class DevicePart:
 
 
 def decode_device_id(autopilot: str, sensor: Sensor, device_id: int) -> DevicePart:
-    """Take a device id apart; `autopilot` as in :class:`calib.recording.Identity`.
+    """Decode a device id; `autopilot` as in :class:`calib.recording.Identity`.
 
     >>> decode_device_id("px4", Sensor.GYRO, 1310988).type
     'simulated'

@@ -12,7 +12,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class ParameterLimit:
-    """Range of a family of parameters, where it comes from and what to do beyond it."""
+    """Range of a family of parameters, with its source and the remedy beyond it."""
 
     pattern: re.Pattern[str]
     low: float

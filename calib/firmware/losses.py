@@ -1,9 +1,9 @@
 """Parts of a fitted model that a firmware cannot store, with their cost.
 
 A fit corrects by ``C (m - b)``. Firmwares store a symmetric matrix at most (magnetometers), a diagonal one
-(accelerometers) or none (gyroscopes), so ``C = Q S`` is split by polar decomposition: ``S`` symmetric, ``Q`` a
-rotation (FLIGHT_CONTROLLERS 2.3). After the write ``D (m - b)`` is in force. It turns a true vector ``x`` into
-``D S^-1 x``. Leaving the rest out costs ``|(D - S) S^-1 x|``, at most the 2-norm of ``(D - S) S^-1`` times ``|x|``.
+(accelerometers) or none (gyroscopes). Hence ``C = Q S`` is split by polar decomposition: ``S`` symmetric, ``Q`` a
+rotation (FLIGHT_CONTROLLERS 2.3). After the write ``D (m - b)`` is in force. It turns a true vector ``x`` into ``D S^-1
+x``. Leaving the rest out costs ``|(D - S) S^-1 x|``, at most the 2-norm of ``(D - S) S^-1`` times ``|x|``.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def largest_error(stored: Array, fitted: Array, magnitude: float) -> float:
 def largest_sd(parts: Parts, stored: Array) -> float:
     """Standard deviation of :func:`largest_error` for scales `stored` (3,) and a true vector of length 1.
 
-    A scale that is stored as it was fitted is not left out, and adds nothing.
+    A scale that is stored as fitted is not lost and adds nothing.
 
     To first order the error is the largest eigenvalue of ``S - D``, whose derivative is ``v v^T``.
     """

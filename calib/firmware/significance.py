@@ -3,7 +3,7 @@
 The calibration in force was once an estimate too, at best as good as the present one. So a change ``d`` has twice the
 covariance ``C`` of the present estimate: two calibrations of one sensor differ by that much. The whole change is judged
 at once: it is no change while ``d^T (2 C)^+ d`` lies below the 95 % quantile of chi-squared. That has as many degrees
-of freedom as `C` has independent parts. A change that the estimate calls certain (zero variance) always counts.
+of freedom as `C` has independent parts. A change with zero variance always counts.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Judged = tuple[Array, Array]
 """A change (n,) and the covariance of the estimate over it (n, n)."""
 
 CONFIDENCE: Final = 0.95
-"""A change inside this region of confidence is no change."""
+"""Confidence region within which a change is insignificant."""
 ESTIMATES: Final = 2.0
-"""A change is the difference of so many estimates: the present one and the one in force."""
+"""Number of estimates in a change: the present one and the one in force."""
 SAME: Final = 1e-6
-"""Error of an element that the fit holds fixed: rounding to single precision."""
+"""Tolerance of an element that the fit holds fixed: single-precision rounding."""
 
 
 def level_agreement(change: Array, sd: Array) -> Agreement | None:

@@ -1,8 +1,8 @@
-"""Tells a simulator from a flying vehicle by what only a simulator's firmware says of itself.
+"""Distinguishes a simulator from a real vehicle by properties that only a simulator's firmware has.
 
 ArduPilot has ``SIM_SPEEDUP`` only where it was built to simulate (``AP_SIM_ENABLED``: ArduCopter/Parameters.cpp,
-boards.py). Such a build may also run on a flight controller and drive its outputs (``SIM_OH_MASK``); that one states
-the numbers of its board in AUTOPILOT_VERSION, where a program has zeros (GCS_Common.cpp).
+boards.py). Such a build may also run on a flight controller and drive its outputs (``SIM_OH_MASK``). It then states the
+numbers of its board in AUTOPILOT_VERSION, where a program has zeros (GCS_Common.cpp).
 
 PX4's simulator gives the UUID "SIMULATIONID0000" (boards/px4/sitl). ``SIH_*`` and ``SYS_HITL`` prove nothing: flight
 controllers have both, and the motors may be connected.
@@ -22,7 +22,7 @@ ARDUPILOT_NAME: Final = "SIM_SPEEDUP"
 
 @dataclass(frozen=True)
 class StatedHardware:
-    """The numbers of AUTOPILOT_VERSION that say on what a firmware runs."""
+    """The fields of AUTOPILOT_VERSION that describe the hardware."""
 
     uid: int
     board: int
@@ -36,7 +36,7 @@ def proofs_needed(autopilot: str | None) -> tuple[str, ...]:
 
 
 def why_no_simulator(autopilot: str | None, stated: StatedHardware | None, parameters: Collection[str]) -> str | None:
-    """None where the vehicle has shown that it is a simulator; else what speaks against it, or is missing.
+    """Why the vehicle may not be a simulator, or what is missing to show it; None: it is proved to be one.
 
     Parameters
     ----------

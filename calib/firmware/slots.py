@@ -68,9 +68,9 @@ def px4_rows(
     """``CAL_*`` row of each streamed instance of `sensor`; rows that are left count as those of further instances.
 
     The stream does not carry device ids. The rows that hold an id are taken in their order, which is how the firmware
-    fills them, then the free ones. That is a guess: PX4 leaves the id of a sensor that was taken away in its row.
-    `device_ids` were read by somebody, by streamed instance. Such a sensor has the row with its id, else its row by
-    order if that is free, else the first free one.
+    fills them, then the free ones. That is a guess: PX4 keeps the id of a removed sensor in its row. `device_ids` are
+    stated by an operator, by streamed instance. Such a sensor has the row with its id, else its row by order if that is
+    free, else the first free one.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def px4_slot(
 
 
 def px4_instance(parameters: Mapping[str, Value], sensor: Sensor, slot: int) -> int:
-    """The instance that has `slot` by order: what is read of it by order is read of that row."""
+    """The instance that has `slot` by order."""
     return px4_rows(parameters, sensor).index(slot)
 
 
@@ -139,8 +139,8 @@ def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id:
 def px4_calibration_names(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Mapping[Role, str]:
     """Names by role of the parameters that correct `sensor` `instance` of a PX4, thermal row included.
 
-    The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID``
-    says which); none for a sensor whose id is not known.
+    The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID`` says
+    which). A sensor without a known id has none.
     """
     _check_sensor(sensor)
     row = names.px4_names(sensor, px4_slot(parameters, sensor, instance))

@@ -1,10 +1,10 @@
 """Parameter values: read, where one that was never seen is an error, and as a firmware keeps them over a restart.
 
-PX4 does not save a float within FLT_EPSILON of its default, by absolute difference
-(``param_export_internal`` in PX4 src/lib/parameters/parameters.cpp). It is echoed, read back and in force until the
-restart brings the default back. Boards that keep their parameters in flash save it (flashparams.cpp); no stream tells
-which kind a board is, so the stricter rule holds for all. A change by no more than FLT_EPSILON is stored in memory, but
-asks for no save by itself (``param_set_internal``): something that changes by more has to be written after it.
+PX4 does not save a float within FLT_EPSILON of its default, by absolute difference (``param_export_internal`` in PX4
+src/lib/parameters/parameters.cpp). It is echoed, read back and in force until the restart brings the default back.
+Boards that keep their parameters in flash save it (flashparams.cpp); no stream tells which kind a board is, so the
+stricter rule holds for all. A change by no more than FLT_EPSILON is stored in memory, but triggers no save
+(``param_set_internal``). A larger change of some value has to be written after it.
 
 ArduPilot leaves out a scalar that is not in its storage yet and lies within 0.01 % of its default
 (``AP_Param::save_sync``). That never meets a PARAM_SET that changes the value by 1.2e-7 or more: it forces the save

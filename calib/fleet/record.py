@@ -51,7 +51,7 @@ class BiasObservation:
 
 @dataclass(frozen=True)
 class BiasLimit:
-    """How far a bias may wander from what corrects it, and the unit in which people read that."""
+    """How far a bias may drift from the correction in force, and the unit for display."""
 
     limit: Limit
     per_unit: float
@@ -70,7 +70,7 @@ BIAS_LIMITS: Final[Mapping[Sensor, BiasLimit]] = MappingProxyType(
         Sensor.MAG: BiasLimit(limits.COMPASS_FIELD, 1.0),
     }
 )
-"""Those of the preflight: beyond it, the preflight of the vehicle would fail or warn."""
+"""Limits of the preflight: beyond them, the preflight of the vehicle would fail or warn."""
 
 
 @dataclass(frozen=True)
@@ -128,14 +128,14 @@ class SensorRecord:
 
     @property
     def observation(self) -> BiasObservation | None:
-        """For a trend; None: it says nothing of the bias, or was not proved."""
+        """The observation for a trend; None: no bias was measured, or it was not proved."""
         if self.bias is None or self.sd is None or not self.proved:
             return None
         return BiasObservation(self.at, self.bias, self.sd, self.temperature, self.applied)
 
 
 def bias_of(fit: FitResult) -> tuple[Triple, Triple] | None:
-    """Bias and standard deviation that a fit found; None: not absolutely, or not every axis of it."""
+    """Bias and standard deviation of a fit; None: it is relative, or an axis is undetermined."""
     if fit.relative or not fit.determined(*OFFSETS):
         return None
     (x, y, z), (sx, sy, sz) = fit.model.offset.tolist(), fit.sd[:3].tolist()
@@ -146,12 +146,12 @@ Place = tuple[Sensor, int]
 
 
 def newest_by_place(records: Iterable[SensorRecord]) -> Mapping[Place, SensorRecord]:
-    """The newest record of every sensor of one unit: what is there now."""
+    """The newest record of every sensor of one unit: the parts fitted now."""
     return {(r.sensor, r.instance): r for r in sorted(records, key=lambda r: r.at)}
 
 
 def history_of_part(records: Iterable[SensorRecord], of: SensorRecord) -> tuple[SensorRecord, ...]:
-    """Every record of the part that `of` is about, oldest first: a swapped board begins a history of its own."""
+    """Every record of the same part as `of`, oldest first: a swapped board begins a new history."""
     same = [r for r in records if (r.unit, r.sensor, r.device_id) == (of.unit, of.sensor, of.device_id)]
     if not of.device_id:
         same = [r for r in same if r.instance == of.instance]

@@ -38,23 +38,23 @@ TREATED: Final[Mapping[CheckId, tuple[Sensor, ...]]] = MappingProxyType(
         CheckId.PARAMETERS_CHANGED: (),
     }
 )
-"""Checks of the preflight that a calibration mends, with the sensors whose calibration makes an older one moot."""
+"""Preflight checks that a calibration repairs, with the sensors whose newer calibration makes a failure obsolete."""
 ALIKE: Final = frozenset({"", "DroneCAN"})
-"""What is no type of a part: nothing is compared under it."""
+"""Type names that do not identify a part; sensors under them are not compared."""
 TrendOf = Callable[[tuple[BiasObservation, ...], float], Trend]
 FALSE_ALARMS: Final = 0.01
-"""Groups of healthy sensors in which one is called odd."""
+"""Fraction of healthy groups in which a sensor is called odd."""
 LEAST = 6
-"""Sensors below which a group says nothing of its own spread."""
+"""Least number of sensors in a group that show its spread."""
 FARTHEST: Final = 1e9
-"""Distance of a sensor that differs from others which are all alike."""
+"""Distance given to a sensor that differs from a group whose other members are equal."""
 _MAD = 1.4826
 _SIZES: Final = (*range(LEAST, 22), 25, 31, 41, 51, 75, 101, 151, 201, 501, 1001)
 _LIMITS: Final = (
     *(14.46, 15.67, 10.76, 11.36, 8.93, 9.03, 7.95, 8.01, 7.28, 7.28, 6.73, 6.77, 6.40, 6.48, 6.23, 6.20),
     *(5.77, 5.47, 5.17, 5.00, 4.77, 4.63, 4.62, 4.57, 4.66, 4.72),
 )
-"""By size of the group, as ``bench.fleet`` draws them; a test draws some of them again."""
+"""Limit by size of the group, simulated by ``bench.fleet``; a test repeats some of the simulations."""
 
 
 class ReasonCode(StrEnum):
@@ -104,11 +104,11 @@ class SensorStanding:
     measured: SensorRecord | None
     """The newest record that has a bias; None: there is none."""
     calibrated_at: float | None
-    """When it was calibrated last and verified; None: never, as far as is known."""
+    """Time of the last verified calibration; None: none is known."""
     job: str | None
     covered: Covered | None
     trending: Callable[[], Trend] = field(repr=False, compare=False)
-    """Makes the trend, which costs more than all the rest together: of a fleet only a page is looked at."""
+    """Computes the trend on demand: it costs more than everything else, and only one page of a fleet is viewed."""
     oddness: Oddness | None = None
     """None: too few sensors of its type are known."""
 
@@ -119,7 +119,7 @@ class SensorStanding:
 
     @property
     def name(self) -> str:
-        """As people call it, with its type."""
+        """Display name, with the type of the part."""
         kind = f" ({self.newest.type})" if self.newest.type else ""
         return f"{NAMES[self.newest.sensor]} {self.newest.instance + 1}{kind}"
 
@@ -140,7 +140,7 @@ class UnitStanding:
 
     @property
     def leaving(self) -> Leaving | None:
-        """That of the sensor that leaves its limit first; None: no trend says."""
+        """The prediction of the sensor that leaves its limit first; None: no trend predicts it."""
         found = [s.trend.leaving for s in self.sensors if s.trend.leaving is not None]
         return min(found, key=lambda one: (_or_never(one.earliest), _or_never(one.middle)), default=None)
 
@@ -207,7 +207,7 @@ def day(at: float | None) -> str:
 
 
 def _of_preflight(sensors: Sequence[SensorStanding], preflight: LastPreflight) -> list[Reason]:
-    """Failed checks that a calibration mends, unless there was one since."""
+    """Failed checks that a calibration repairs, unless one was made since."""
     found = []
     for check in preflight.failed:
         if check.verdict != Verdict.FAIL or check.id not in TREATED:
@@ -251,7 +251,7 @@ def _standing(records: Sequence[SensorRecord], newest: SensorRecord, trend_of: T
 
 
 def _compared(sensors: Sequence[SensorStanding]) -> dict[int, Oddness]:
-    """How odd each sensor is among those of its type, by the identity of the object."""
+    """How odd each sensor is among those of its type, by the id of the object."""
     groups: dict[tuple[Sensor, str], list[SensorStanding]] = {}
     for sensor in sensors:
         kind = sensor.newest.type
@@ -286,7 +286,7 @@ class Oddness:
 
 
 def distances(values: Array, floor: float = 0.0) -> Array:
-    """Robust distance from the median, shape of `values` (..., n, 3); `floor`: least spread that is believed."""
+    """Robust distance from the median, shape of `values` (..., n, 3); `floor` is the least spread."""
     away = np.abs(values - np.median(values, axis=-2, keepdims=True))
     spread = np.maximum(_MAD * np.median(away, axis=-2, keepdims=True), floor)
     return np.asarray(np.divide(away, spread, out=np.where(away > 0.0, FARTHEST, 0.0), where=spread > 0.0))
@@ -295,8 +295,7 @@ def distances(values: Array, floor: float = 0.0) -> Array:
 def limit_of(n: int) -> float:
     """The limit for a group of `n`, at least six: that of the next smaller size of the table, which is no stricter.
 
-    A group larger than the table has the limit of so many normally distributed numbers of known spread, if that is
-    larger.
+    Beyond the table, the limit for `n` normally distributed numbers of known spread counts if it is larger.
     """
     known = _LIMITS[int(np.searchsorted(_SIZES, n, side="right")) - 1]
     return max(known, float(-scipy.special.ndtri(FALSE_ALARMS / (6.0 * n)))) if n > _SIZES[-1] else known
@@ -305,7 +304,7 @@ def limit_of(n: int) -> float:
 def oddness(biases: Sequence[Sequence[float]], sd: Sequence[float]) -> tuple[Oddness | None, ...]:
     """How odd each sensor of one type is; None: there are fewer than six of them.
 
-    `biases` are (n, 3); `sd` are standard deviations of a measurement: differences below their median are none.
+    `biases` are (n, 3); `sd` are standard deviations of a measurement, whose median is the least spread.
 
     Raises
     ------

@@ -1,15 +1,15 @@
 """Drift of one sensor with time and temperature, and the date on which it exceeds its limit.
 
-The lasting part of a bias is the line and the walk, without the scatter from start to start. The bias has left its
-limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the temperature
-of that calibration. Three axes count together. Intervals are of 90 %; docs/measured/accuracy.md has how often they held
-the truth in simulations.
+The lasting part of a bias is the line plus the walk, without the scatter from one power-up to the next. The bias has
+left its limit when that part is farther than the limit from the bias that corrects the sensor. Both are taken at the
+temperature of that calibration. Three axes count together. Intervals are of 90 %; docs/measured/accuracy.md states how
+often they contained the truth in simulations.
 
 Each axis follows ``y_i = a + d t_i + s (T_i - T_0) + w(t_i) + v_i + e_i``: `w` is a random walk, `v` the scatter from
-start to start, `e` the measurement noise with known standard deviation. The sizes of `w` and `v` are integrated over on
-a grid, with the marginal likelihood of all three axes together. Their prior is log-uniform, and favours the walk, which
-predicts worse. The drift has a prior of unknown typical size, so it can be near zero (decision 22); with a flat one
-every sensor would leave its limit.
+one power-up to the next, `e` the measurement noise with known standard deviation. The sizes of `w` and `v` are
+integrated over on a grid, with the marginal likelihood of all three axes together. Their prior is log-uniform, and
+favours the walk, whose prediction is less certain. The drift has a prior of unknown typical size, so it can be near
+zero (decision 22); with a flat one every sensor would leave its limit.
 """
 
 from __future__ import annotations
@@ -28,29 +28,32 @@ Array = NDArray[np.float64]
 DAY_S = 86400.0
 YEAR_D = 365.25
 HORIZON_D = 10.0 * YEAR_D
-"""Nothing is foretold beyond that."""
+"""Days beyond which nothing is predicted."""
 COVERAGE = 0.90
 LEAST_SPREAD_DEGC = 5.0
-"""Temperatures that lie closer together say nothing of a slope."""
+"""Least spread of temperatures, degC, that determines a slope."""
 _APART = 1e-3
-"""Share of the spread. Real thermometers leave more than that; only made-up readings leave less."""
+"""Temperature and time are inseparable if a straight line leaves less than this fraction of the temperature's spread.
+Only made-up readings leave less."""
 LEAST_SPAN_D = 1.0
 MOST = 64
-"""Measurements that one trend takes; calibrations first, then the newest of the others."""
+"""Most measurements of one trend: calibrations first, then the newest of the others."""
 _DRAWS, _SEED = 4000, 21
 _PATHS = 400
-"""Draws whose future is followed; the quantiles of slopes rest on all of them."""
+"""Number of draws that are extrapolated; the quantiles of slopes use all draws."""
 _AHEAD_D = np.concatenate([[0.0], np.geomspace(0.5, HORIZON_D, 96)])
 SHARES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-"""Share of the walk in what scatters, over one mean interval between measurements."""
+"""Grid of the walk's share in the scatter, over one mean interval between measurements."""
 LEAN = np.array([0.01, 0.01, 0.03, 0.1, 0.85])
 """Prior of the shares."""
 SIZES = np.geomspace(0.1, 20.0, 17)
-"""Standard deviation of what scatters, in those of the residuals."""
+"""Grid of the scatter's standard deviation, in units of that of the residuals."""
 LEAST_NOISE = 0.02
-"""A measurement is no better than that, in residuals: a smaller one would only make the matrices worse."""
+"""Least standard deviation of a measurement, in units of that of the residuals: a smaller one only worsens the
+conditioning."""
 DRIFTS, LEAST_DRIFT, MOST_DRIFT = 10, 0.03, 10.0
-"""Grid of the typical change over the whole span: from so many residuals to so many times what a plain line finds."""
+"""Grid of the typical change over the whole span: number of values, the smallest in residuals, and the largest in
+changes that a plain line finds."""
 
 
 class Quantity(StrEnum):
@@ -106,7 +109,7 @@ class Trend:
 
 
 def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
-    """The trend of one sensor; `limit` is the farthest that its bias may be from what corrects it, in its unit."""
+    """Trend of one sensor; `limit` is the largest allowed distance of its bias from the correction in force."""
     seen = _chosen(observations)
     n = len(seen)
     warm, left_open = _temperature(seen)
@@ -139,7 +142,7 @@ def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
 
 
 def _chosen(observations: Sequence[BiasObservation]) -> list[BiasObservation]:
-    """At most :data:`MOST`, in the order of time."""
+    """At most :data:`MOST` observations, in the order of time."""
     ordered = sorted(observations, key=lambda o: o.at)
     kept = [o for o in ordered if o.applied][-MOST:]
     others = [o for o in ordered if not o.applied]
@@ -197,7 +200,7 @@ def _slopes(drawn: Array) -> tuple[Slope, Slope, Slope]:
 
 @cache
 def _paths() -> Array:
-    """A random walk of variance one a day for each followed draw, shape (3, 400, days): the same for every sensor."""
+    """Random walks of variance one per day, one an extrapolated draw, (3, 400, days); the same for every sensor."""
     steps = np.random.default_rng(_SEED + 1).standard_normal((_PATHS, len(_AHEAD_D) - 1, 3))
     walked = np.cumsum(np.sqrt(np.diff(_AHEAD_D))[:, None] * steps, axis=1)
     whole = np.concatenate([np.zeros((_PATHS, 1, 3)), walked], axis=1)
@@ -205,7 +208,7 @@ def _paths() -> Array:
 
 
 def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
-    """First day after the last measurement on which a path of each draw is beyond the limit, ascending; inf: none."""
+    """Days from the last measurement until each extrapolated draw exceeds the limit, ascending; inf: never."""
     walk, drift = np.sqrt(drawn.walk[:_PATHS])[:, None], drawn.per_day[:_PATHS]
     off = drawn.now[:_PATHS] - corrected
     squared = np.zeros((len(off), len(_AHEAD_D)))
@@ -222,7 +225,7 @@ def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
 
 
 def _leaving(away: Sequence[Array], last: float) -> Leaving:
-    """The earlier beginning and the later end of the intervals of either belief, and the middle of both together."""
+    """Hull of the 90 % intervals under both beliefs, and the median of all draws."""
     tail = 0.5 * (1.0 - COVERAGE)
     earliest = min(_at(days, tail) for days in away)
     latest = max(_at(days, 1.0 - tail) for days in away)
@@ -232,12 +235,12 @@ def _leaving(away: Sequence[Array], last: float) -> Leaving:
 
 
 def _at(ordered: Array, share: float) -> float:
-    """The quantile that is one of the values: some are infinite."""
+    """The quantile, without interpolation since some values are infinite."""
     return float(ordered[round(share * (len(ordered) - 1))])
 
 
 class Belief(StrEnum):
-    """What is believed of a drift before anything is measured."""
+    """Prior of the drift."""
 
     ANY = "any"  # every drift is as likely as every other one
     SOME = "some"  # it has a typical size, and nothing is known about it
@@ -245,7 +248,7 @@ class Belief(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Joint draws of what the measurements leave open; arrays have shape (draws,) or (draws, 3)."""
+    """Joint posterior draws; arrays have shape (draws,) or (draws, 3)."""
 
     now: Array
     """The lasting part of the bias at the last measurement and the reference temperature, shape (draws, 3)."""
@@ -259,20 +262,20 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measurements of one sensor in the order of time: more of them than unknowns, over more than one instant."""
+    """Measurements of one sensor in order of time, at more than one time, and more than there are unknowns."""
 
     days: Array
-    """Shape (n,)."""
+    """Time of each measurement, days since 1970, shape (n,)."""
     bias: Array
     """Shape (n, 3)."""
     sd: Array
-    """One axis, shape (n,)."""
+    """Standard deviation of one axis, shape (n,)."""
     warmth: Array | None
     """Temperature above the reference one, degC, shape (n,); None: it is left out."""
 
 
 def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -> Draws:
-    """Draw from what the measurements leave open."""
+    """Posterior draws of the drift, given the measurements."""
     days, bias, sd, warmth = seen.days, seen.bias, seen.sd, seen.warmth
     span = float(days[-1] - days[0])
     columns = [np.ones(len(days)), (days - days[-1]) / span]
@@ -309,7 +312,7 @@ def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -
 def _lines(
     design: Array, bias: Array, covariance: Array, solved: Array, precisions: Array
 ) -> tuple[Array, Array, Array]:
-    """Weight of every cell and precision of the drift's prior, with the line's mean and covariance in each."""
+    """Weight of every grid cell and every precision of the drift's prior, with the line's mean and covariance."""
     prior = np.zeros((len(precisions), design.shape[1], design.shape[1]))
     prior[:, 1, 1] = precisions
     information = (design.T @ solved @ design)[:, None] + prior
@@ -326,7 +329,7 @@ def _lines(
 
 
 def _scales(design: Array, bias: Array, sd: Array) -> tuple[float, float]:
-    """Standard deviation of what a plain line leaves, or of the measurements if larger; its change over the span."""
+    """Standard deviation about a plain line, or of the measurements if larger; and the line's change over the span."""
     line = np.linalg.lstsq(design, bias, rcond=None)[0]
     free = max(3 * (len(bias) - design.shape[1]), 1)
     found = max(float(np.sqrt(((bias - design @ line) ** 2).sum() / free)), float(np.median(sd)), 1e-12)

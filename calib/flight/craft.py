@@ -33,22 +33,22 @@ class Craft(StrEnum):
 
     @property
     def moving(self) -> str:
-        """Words for the time of its movement, as the end of a sentence."""
+        """Phrase for "while it moves", to end a sentence."""
         return {Craft.AIR: "in flight", Craft.GROUND: "while it drove"}.get(self, "under way")
 
     @property
     def moved(self) -> str:
-        """Verb, in the past, for its movement."""
+        """Verb in the past tense for its movement."""
         return {Craft.AIR: "flew", Craft.GROUND: "drove"}.get(self, "was under way")
 
     @property
     def trip(self) -> str:
-        """One time of moving."""
+        """Noun for one trip."""
         return {Craft.AIR: "flight", Craft.GROUND: "drive"}.get(self, "trip")
 
     @property
     def turn(self) -> str:
-        """What shows its compass the headings and tilts that a fit needs."""
+        """Manoeuvre that gives its compass the headings and tilts that a fit needs."""
         if self == Craft.AIR:
             return "fly two full turns, and banks of 30 deg if that is safe"
         if self == Craft.GROUND:
@@ -62,7 +62,7 @@ class Craft(StrEnum):
 
 
 def craft_of(identity: Identity) -> Craft:
-    """By the MAV_TYPE of `identity`."""
+    """Kind of vehicle, by the MAV_TYPE of `identity`."""
     kind = identity.vehicle_type
     for craft, kinds in ((Craft.AIR, _AIR), (Craft.GROUND, _GROUND), (Craft.WATER, _WATER)):
         if kind in kinds:

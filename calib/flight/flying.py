@@ -183,7 +183,7 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
 
 
 def _at_end(values: Array) -> tuple[int, int]:
-    """The range in g whose end the samples (N, 3) pile up at, or the largest that is set, and how many are there."""
+    """Range, g, at whose end samples (N, 3) pile up, else the largest range, and the number of samples there."""
     size = np.abs(values[:, 0])
     for axis in (1, 2):  # one column at a time: a log may have millions of samples
         np.maximum(size, np.abs(values[:, axis]), out=size)
@@ -200,7 +200,7 @@ def _at_end(values: Array) -> tuple[int, int]:
 
 
 def clipped_events(recording: Recording, instance: int) -> list[Event]:
-    """What the autopilot counted of that accelerometer at the end of its range."""
+    """Clip counts of that accelerometer by the autopilot."""
     of = Oddity.CLIPPED, Sensor.ACCEL, instance
     return [e for e in recording.events if e.odd is not None and (e.odd.what, e.odd.sensor, e.odd.instance) == of]
 
@@ -211,7 +211,7 @@ def _usable_rows(values: Array) -> Array:
 
 
 def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[TimeSpan]) -> JudgedItem:
-    """Scale of one instance over the other, axis by axis, from what both went through."""
+    """Scale ratio of two instances, axis by axis, from their common motion."""
     name, subject = f"{sensor.value}_scale", f"{sensor.value} {pair[0] + 1}, {pair[1] + 1}"
     cells = _cells(recording, sensor, pair, flown)
     if len(cells) < 100:
@@ -267,7 +267,7 @@ def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
 def _ratio(first: Array, second: Array) -> tuple[Array, Array]:
     """Diagonal (3,) of the matrix from `second` to `first` and its sd; cross terms and an offset are nuisances.
 
-    The noise of `second`, taken as half of what the two differ by, shrinks a regression: what it may is in the sd.
+    The noise of `second`, taken as half of the difference, attenuates a regression; the sd includes the possible bias.
     """
     design = np.column_stack([second - second.mean(axis=0), np.ones(len(second))])
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)

@@ -30,7 +30,7 @@ class FlightLimit:
 
 
 def worded_bounds(warn: float, fail: float | None, unit: str) -> str:
-    """Two limits as a person reads them: shares in percent, rates in deg/s; `fail` None: there is one."""
+    """Limits in display units: fractions in percent, rates in deg/s; `fail` None: there is only one."""
     factor, unit = {"1": (100.0, "%"), "rad/s": (math.degrees(1.0), "deg/s")}.get(unit, (1.0, unit))
     return f"{factor * warn:.3g} {unit}" if fail is None else f"{factor * warn:.3g} and {factor * fail:.3g} {unit}"
 
@@ -61,7 +61,7 @@ class JudgedItem:
 def judged(
     name: str, subject: str, value: float, limit: FlightLimit, text: str, *, sd: float | None = None, **numbers: Any
 ) -> JudgedItem:
-    """An item whose larger `value` is worse. What its own sd may explain is no finding."""
+    """An item of which a larger `value` is worse; an excess within its own `sd` is not a finding."""
     sure = value - 2.0 * (sd or 0.0)
     verdict = (
         FlightVerdict.FAIL if sure > limit.fail else FlightVerdict.WARN if sure > limit.warn else FlightVerdict.PASS

@@ -1,7 +1,7 @@
 """Finds when a vehicle stood still on the ground with its motors off.
 
-Stillness alone does not tell: a good multicopter that hovers in calm air passes for still. What the autopilot said of
-arming counts, or its motor outputs; where neither was recorded, stillness is all there is, and every rest says so.
+Stillness alone is not enough: a good multicopter hovering in calm air looks still. The autopilot's arming state or its
+motor outputs decide. Where neither was recorded, only stillness is left, and every rest says so.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from mavcal.calib.stats.still_limits import RESTING
 from mavcal.calib.stats.stillness import Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
-"""Kinds of the events that tell the motors' state."""
+"""Event kinds that state whether the motors are off or on."""
 
 LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
-"""At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
-that is moved by as much shakes or tilts meanwhile."""
+"""Limits of rest through a warm-up. The means may drift by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees. A
+vehicle that is moved by as much shakes or tilts."""
 
 SUBMARINE = 12
 """MAV_TYPE_SUBMARINE."""
@@ -169,7 +169,7 @@ def _phase(start: float, running: tuple[TimeSpan, ...]) -> Phase:
 
 
 def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ...] | None:
-    """Armed spans; None where arming was never spoken of."""
+    """Armed spans; None where the recording never mentions arming."""
     events = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
     if not events:
         return None

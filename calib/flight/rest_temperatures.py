@@ -19,14 +19,14 @@ from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.drift import DriftData
 
 _TICK = 0.25
-"""Length of the cells that samples are averaged over, s: temperature and drift are straight lines through them."""
+"""Length of the averaging cells, s: within one, temperature and drift are linear."""
 _PAUSE = 60.0
-"""Seconds between two logs on the common clock: what was recorded apart does not follow on."""
+"""Pause, s, inserted between two logs on the common clock, so that they are not taken as continuous."""
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One log with the calibration in force undone where it is known, and when the vehicle rested in it."""
+    """One log with the known calibration in force undone, and the rests of the vehicle in it."""
 
     name: str
     recording: Recording
@@ -45,7 +45,7 @@ class RestTemperatures:
     """Samples of one sensor in the rests of every log, each row with its rest and its log."""
 
     channel: Channel
-    """No samples yet; says the sensor, its unit and its resolution."""
+    """Without samples; states the sensor, its unit and its resolution."""
     data: DriftData
     rest: NDArray[np.intp]  # (N,)
     log: NDArray[np.intp]  # (N,)
@@ -59,11 +59,11 @@ class RestTemperatures:
 
     @property
     def only_still(self) -> bool:
-        """Whether only stillness indicates that the motors were off."""
+        """Whether stillness is the only evidence that the motors were off."""
         return any(rest.known == Known.STILLNESS for rest in self.rests)
 
     def covered(self, number: NDArray[np.intp]) -> float:
-        """Degrees that rows of one `number` (N,) saw, over all numbers, counted once."""
+        """Temperature range, degC, that the rows of each `number` (N,) cover, united over all numbers."""
         ends = []
         for k in np.unique(number):
             t = self.data.t[number == k]
@@ -110,7 +110,7 @@ def rest_temperatures(
 ) -> RestTemperatures | None:
     """Samples of that sensor in the rests of every log; None: there is no row.
 
-    With `other` its samples less those of that instance: what the vehicle does cancels, and so does gravity.
+    With `other`, its samples minus those of that instance: motion and gravity cancel.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _channel(log: Log, sensor: Sensor, instance: int, other: int | None) -> Chan
 
 
 def difference(channel: Channel, other: Channel) -> Channel | None:
-    """`channel` less `other` at the times of the first; None: they do not overlap, or bins or units forbid it."""
+    """`channel` minus `other` at the times of the first; None: no overlap, or incompatible bins or units."""
     if channel.unit != other.unit or channel.quantum > 0.0 or other.quantum > 0.0 or len(other) < 2:
         return None
     if len(channel) == len(other) and np.array_equal(channel.t, other.t):
@@ -164,7 +164,7 @@ def difference(channel: Channel, other: Channel) -> Channel | None:
 
 
 def _add(pool: DriftPool, channel: Channel, thermometer: Channel, rest: Rest, shift: float, number: int) -> bool:
-    """Add the cells of one rest; whether it has any."""
+    """Add the cells of one rest; returns whether it has any."""
     part = _finite(channel.between(rest.start, rest.end))
     warm = _finite(thermometer.between(rest.start - 1.5, rest.end + 1.5))  # read once a second, or less often
     if not len(part) or not len(warm):

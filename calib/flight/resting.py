@@ -1,6 +1,6 @@
 """Checks the inertial sensors at rest: gravity, bias and its drift, level, and whether units agree.
 
-All with the calibration in force: a log is judged as the autopilot took it.
+The calibration in force is applied: a log is judged as the autopilot used it.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _bias_change(recording: Recording, instance: int, means: Sequence[RestMean],
 def _difference(
     name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]], why: str
 ) -> JudgedItem:
-    """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""
+    """Largest difference of two instances in the same rest; the vertical one is halved, as in ArduPilot's check."""
     a, b = pair
     subject = f"{sensor} {a + 1}, {b + 1}"
     others = {m.rest.start: m for m in means[b]}
@@ -243,7 +243,7 @@ def _difference(
 
 
 def _own_error(sensor: str, mean: Array) -> float:
-    """What one sensor alone shows of its error at rest: a rate, or a length that is not the firmware's gravity."""
+    """Error of one sensor by itself at rest: its rate, or the difference of its length from the firmware's gravity."""
     size = float(np.linalg.norm(mean))
     return abs(size - STANDARD_GRAVITY) if sensor == "accel" else size
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 POINTS: Final = 600
-"""Most points of a series: two for each column of pixels of a narrow picture."""
+"""Most points of a series: two for each pixel column of a narrow picture."""
 SHOWN: Final[Mapping[Sensor, int]] = {
     Sensor.ACCEL: 3, Sensor.GYRO: 3, Sensor.MAG: 3, Sensor.TEMPERATURE: 1, Sensor.CURRENT: 1, Sensor.THROTTLE: 1,
     Sensor.VIBRATION: 3,
@@ -32,11 +32,11 @@ class Series:
     t: Array
     """Seconds since the recording began, (N,)."""
     values: Array
-    """(k, N), a row an axis."""
+    """Values (k, N), one row for each axis."""
 
 
 def series_of(recording: Recording, points: int = POINTS) -> tuple[Series, ...]:
-    """One series a sensor and instance, of its densest channel; at most `points` samples each."""
+    """One series for each sensor and instance, from its densest channel, of at most `points` samples."""
     best: dict[tuple[Sensor, int], Channel] = {}
     for channel in recording.channels:
         key = channel.sensor, channel.instance

@@ -1,13 +1,12 @@
 """Drift with temperature from the rests in ordinary logs, pooled over several logs of one vehicle.
 
-What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
-it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of
-their accelerometers has no pose in it: all rests of a log then share one constant, and a rest after the flight tells
-what the unit did in flight. Where even the rests of both are too narrow, the flight itself counts.
-That is a statement about both of them; it is used only where the other one, by its own rests, does not drift.
-
-In flight ``f_1 - f_2 = c + N f_2 + p(T) + noise``: the vehicle's motion cancels up to N, by which the two differ in
-scale and mounting, and which the flight determines. Each cell of a second is weighted by its scatter.
+Unknown constants are nuisances: each rest of an accelerometer has one for its pose, which includes gravity. Each log of
+a gyroscope has one for its turn-on bias. The difference of two accelerometers side by side does not depend on the pose.
+All rests of a log then share one constant, and a rest after the flight shows the drift during the flight. Where even
+the rests of both cover too narrow a range, the flight itself is used. The difference depends on both units, so it is
+used only if the other one, by its own rests, does not drift. In flight ``f_1 - f_2 = c + N f_2 + p(T) + noise``. The
+motion cancels except for N, the difference in scale and mounting, which the flight determines. Each cell of a second is
+weighted by its scatter.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ from mavcal.calib.thermal.drift import DriftData
 from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, PolynomialOptions, fit_drift_data, fit_linear
 
 STEADY = {Sensor.ACCEL: 0.02, Sensor.GYRO: float(np.radians(0.05))}
-"""Drift over the span, m/s2 and rad/s, below which a unit may be a reference: what a thermal calibration is asked to
-leave (defaults of the calibration's length)."""
+"""Drift over the span, m/s2 and rad/s, below which a unit may be a reference: the default residual of a thermal
+calibration."""
 _UNITS = ("m/s2", "rad/s")
 _WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
 _LEAST_SPAN = 2.0  # degC, for the reference to be judged
@@ -48,7 +47,7 @@ _LEAST_SAMPLES = 8  # of a cell
 
 @dataclass(frozen=True)
 class ThermalRequest:
-    """What is asked for; `degree` 0 is the straight line of thermal-linear."""
+    """The requested fit; `degree` 0 is the straight line of thermal-linear."""
 
     degree: int
     t_ref: float
@@ -64,7 +63,7 @@ class ThermalRequest:
 
 
 def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalRequest, *, relative: bool) -> FitResult:
-    """Drift of one sensor over the rests of `logs`; refused with the span that is there and the one that is needed."""
+    """Drift of one sensor over the rests of `logs`; a refusal states the available and the necessary span."""
     own = rest_temperatures(logs, sensor, instance)
     if own is None:
         return _refused(logs, sensor, instance, wish, "the vehicle never rested with its motors off in this log")
@@ -110,7 +109,7 @@ def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalRequest,
 def _by_difference(
     logs: Sequence[Log], own: RestTemperatures, wish: ThermalRequest, relative: bool
 ) -> tuple[FitResult | None, str]:
-    """The drift against another accelerometer that has none, where that sees more; or why not."""
+    """The drift against an accelerometer without drift, where that covers a wider range; or why not."""
     instance = own.channel.instance
     others = sorted({i for log in logs for i in log.recording.instances(Sensor.ACCEL)} - {instance})
     why = ""
@@ -179,7 +178,7 @@ def _without_offset(fit: FitResult) -> FitResult:
 
 
 def _steady(logs: Sequence[Log], sensor: Sensor, other: int, span: float) -> Array | str:
-    """Slopes (3,) that the reference may have by its own rests, with their sd; or why it is none over `span` degC."""
+    """Slopes (3,) of the reference by its own rests, with their sd; or why it is no reference over `span` degC."""
     rows = rest_temperatures(logs, sensor, other)
     name = f"{'accelerometer' if sensor == Sensor.ACCEL else 'gyroscope'} {other + 1}"
     if rows is None:
@@ -201,7 +200,7 @@ def _steady(logs: Sequence[Log], sensor: Sensor, other: int, span: float) -> Arr
 
 
 def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
-    """A fit of a difference: the covariance holds what the reference may drift, as a straight line."""
+    """A fit of a difference, whose covariance includes a linear drift of the reference."""
     covariance = fit.covariance.copy()
     poly = fit.model.polynomial
     assert poly is not None
@@ -268,7 +267,7 @@ def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalRe
 
 @dataclass(frozen=True, eq=False)
 class FlightDifference:
-    """Difference of two units without N and the constant of each log, with the cost of these nuisances."""
+    """Difference of two units after N and each log's constant are eliminated, with the cost of these nuisances."""
 
     channel: Channel
     """No samples yet; says the sensor and its unit."""
@@ -281,7 +280,7 @@ class FlightDifference:
 def flight_difference(
     logs: Sequence[Log], sensor: Sensor, instance: int, other: int, degree: int
 ) -> FlightDifference | None:
-    """Cells of one second of the whole logs; None: too few of them, or no difference can be taken."""
+    """Difference in cells of one second over whole logs; None: too few cells, or no difference can be taken."""
     cells = [cell for k, log in enumerate(logs) if (cell := _cells(log, sensor, instance, other, k)) is not None]
     if not cells:
         return None
@@ -320,7 +319,7 @@ def flight_difference(
 
 
 def _cells(log: Log, sensor: Sensor, instance: int, other: int, number: int) -> Array | None:
-    """Rows time, log, flying, samples, temperature, difference (3), second unit (3), variance of a sample."""
+    """Rows of time, log, flying, samples, temperature, difference (3), second unit (3), variance of a sample."""
     recording = log.recording
     try:
         first, second = recording.channel(sensor, instance), recording.channel(sensor, other)
@@ -367,7 +366,7 @@ def _airborne(recording: Recording, t: Array) -> NDArray[np.bool_]:
 
 
 def _noise(variance: Array, count: Array, flying: Array) -> Array:
-    """Variance of a sample for every cell: that of the rests, or of the flights."""
+    """Variance of a sample for every cell: one value for the rests, one for the flights."""
     found = np.empty(len(variance))
     for kind in (flying > 0, flying == 0):
         if kind.any():
@@ -376,7 +375,7 @@ def _noise(variance: Array, count: Array, flying: Array) -> Array:
 
 
 def _loss(curve: Array, one: Array, nuisance: Array) -> float:
-    """Largest factor by which `nuisance` raises the variance of a combination of the curve's terms, over `one`."""
+    """Largest ratio of the variance of a combination of the curve's terms beside `nuisance` to that beside `one`."""
     plain, each = (curve - n @ np.linalg.lstsq(n, curve, rcond=1e-10)[0] for n in (one, nuisance))
     factor = np.linalg.cholesky(each.T @ each + 1e-12 * np.trace(plain.T @ plain) * np.eye(len(plain.T)))
     half = np.linalg.solve(factor, plain.T)

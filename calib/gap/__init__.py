@@ -48,7 +48,7 @@ __all__ = [
 
 _NO_SIMULATOR = NoAirframe("one flight alone shows no gap of its airframe", "a flight of the simulator, as --sim")
 _MOVING = 2.0
-"""Speed, m/s, from which a vehicle is not on a bench. Chosen, not measured: an estimator at rest stays far below."""
+"""Speed, m/s, above which a vehicle counts as moving. Chosen, not measured: an estimator at rest stays far below."""
 
 
 @one_diagnosis()
@@ -75,8 +75,8 @@ def run(
     sim
         A simulator's recording of the same trajectory, or of another flight of the same kind.
     nominal
-        Recordings without an effect: the noise is learned from them, and what the first shows against a pose is
-        taken off.
+        Recordings without an effect: the noise is learned from them. What the first shows against its pose is
+        subtracted.
     without
         Ids of effects that are left out of the catalogue.
     alpha
@@ -86,7 +86,7 @@ def run(
     inputs
         sha256 of the files, by role (``real``, ``sim``), for the report.
     pace
-        How long it may take, and who hears how far it is; None: as long as it takes.
+        Time limit and progress listener; None: no limit.
     frame
         A frame of :data:`calib.airframe.geometry.NAMED` for recordings that do not say theirs.
     sim_frame
@@ -143,7 +143,7 @@ def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
 
 
 def _is_flight(recording: Recording) -> bool:
-    """Whether the recording may be of a flight: its motors were told to run, or it was armed, or it moved."""
+    """Whether the recording may be of a flight: its motors were commanded, or it was armed, or it moved."""
     told = any(c.sensor == Sensor.MOTOR and c.values.any() for c in recording.channels)
     moved = any(c.sensor == Sensor.VELOCITY and np.abs(c.values).max(initial=0.0) > _MOVING for c in recording.dynamics)
     armed = any(event.kind == "armed" for event in recording.events)

@@ -1,4 +1,4 @@
-"""A recording as its inertial sensors would have read it without the errors that a report names."""
+"""Correction of a recording by the sensor errors that a report names."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
 
 
 def without_matrix_errors(real: Recording, report: GapReport) -> Recording | None:
-    """`real` without scale, misalignment and rotation of its inertial sensors; None if the report is sure of none.
+    """`real` without scale, misalignment and rotation of its inertial sensors; None if none of these is certain.
 
-    A gyroscope that reads 6 % too little makes every inertia 6 % larger. Offsets stay: a flight's fit has its own.
+    A gyroscope that reads 6 % too little makes every inertia 6 % larger. Offsets stay: the fit of a flight has its own.
     """
     sure = [e for e in report.effects if e.evidence.probability >= LIKELY]
     named = [e for e in sure if e.sensor in _INERTIAL and term_of(e) in _MATRIX]

@@ -73,8 +73,8 @@ from mavcal.calib.gap.worth.attribution import Attribution, attributions
 from mavcal.calib.recording import Sensor
 
 _ROUNDS = 3
-"""Times that samples during events are left out, after which a selection stands whatever it says. Chosen, not measured:
-it bounds the time of a selection that goes to and fro."""
+"""Most rounds of leaving out samples during events; the selection is then final. Chosen, not measured: it bounds the
+time of a selection that alternates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ class _Answer:
     """A model, the attributions of its effects, and the contest that it comes from.
 
     `wander` is the reference's own attitude error, None if it is negligible. `heldout` is None if no block can be held
-    out. `gates` hold, by effect, whether held-out blocks confirm it (None: undecided), and `withdrawn` the gains of
-    effects that they deny. `inseparable` effects cannot be told from the reference's error.
+    out. `gates` state by effect whether held-out blocks confirm it (None: undecided); `withdrawn` are the gains of
+    effects that they refute. `inseparable` effects cannot be told from the reference's error.
     """
 
     stable: StableModel
@@ -118,7 +118,7 @@ class _Answer:
 
     @cached_property
     def tolerated(self) -> frozenset[Key]:
-        """Effects that are not reported: two recordings differ by as much, or the reference's error explains them."""
+        """Effects not reported, as differences between any two recordings or as errors of the reference."""
         thresholds, gains = self.contest.thresholds, {a.key: a.gain for a in self.attributions}
         members = (t.hypothesis for t in self.chosen.model.members)
         small = frozenset(h.key for h in members if gains.get(h.key, math.inf) < thresholds.to_report(h))
@@ -142,14 +142,14 @@ def diagnose(
     pace: GapPace | None = None,
     foreign: Callable[[GapReport], Collection[EffectEstimate]] = lambda _: (),
 ) -> GapReport:
-    """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
+    """Report on where the sensors of `problem` differ from their references, and which effects explain it how far.
 
     Parameters
     ----------
     problem
         Sensors beside their references.
     effects
-        That take part; None: the whole catalogue.
+        Candidate effects; None: the whole catalogue.
     alpha
         Chance that anything is reported where there is no gap.
     nested
@@ -157,7 +157,8 @@ def diagnose(
     pace
         How long it may take, and who hears how far it is; None: as long as it takes.
     foreign
-        Which effects of a report are no sensor's, by what else the recordings show. They stay in the report.
+        Finds the effects of a report that are not a sensor's, from other evidence in the recordings. They stay in the
+        report.
     """
     effects, pace = catalogue() if effects is None else effects, pace or GapPace()
     pace.begin(GapStage.SELECTION)
@@ -193,7 +194,7 @@ def _with_steps(task: _Setup, chosen: ChosenModel, alpha: float) -> ChosenModel:
 
 
 def _without_unusable(task: _Setup, chosen: ChosenModel, rounds: int) -> tuple[GapProblem, tuple[JumpSpan, ...]]:
-    """The problem without unresponsive sensors or, if there are none, without samples during events, and these.
+    """The problem without unresponsive sensors or, if there are none, without samples during events; and these events.
 
     The problem of `task` itself if everything in it is usable, time is over, or `rounds` of removal were made.
     """
@@ -240,7 +241,7 @@ def _stable_answer(task: _Setup, chosen: ChosenModel, alpha: float, named: Colle
 
 
 def _confirmed_by_blocks(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer without the effects that held-out blocks deny.
+    """The answer without the effects that held-out blocks refute.
 
     The weakest effect of each kind is removed first: either of two similar ones seems superfluous beside the other.
     """
@@ -350,7 +351,7 @@ def _noise_notices(task: _Setup, model: Model) -> Iterable[str]:
 
 
 def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
-    """Notices of the effects that are in the model and not reported."""
+    """Notices of the effects that are in the model but not reported."""
     known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
     accepted = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated - answer.inseparable)
     said = (f"two recordings differ by as much anyway: {', '.join(accepted)} are no gap here",) if accepted else ()
@@ -360,7 +361,7 @@ def _tolerated_notices(answer: _Answer) -> tuple[str, ...]:
 def _locations(
     task: _Setup, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float
 ) -> tuple[LocatedGap, ...]:
-    """Where the gap lies; if two recordings differ anyway, only on the sensors of the reported effects."""
+    """Location of the gap; if two recordings always differ, only on the sensors of the reported effects."""
     found = located(task.bare, alpha)
     shared = any(by_id()[effect.id].shared for effect in effects)
     if unknown.flag or not task.problem.minimum_gain.steady_report or shared:
@@ -412,7 +413,7 @@ def _effects(
 def _effect(
     task: _Setup, answer: _Answer, attribution: Attribution, *, beside_unknown: bool, sure: float | None
 ) -> EffectEstimate:
-    """One effect of the model; `sure`: how likely its unit has it, and not the other of two; None: for certain."""
+    """One effect of the model; `sure` is the probability that its unit has it, not the other of two; None: certain."""
     passed = answer.gates.get(attribution.key)
     effect = effect_of(answer.chosen, attribution, passed, beside_unknown=beside_unknown)
     effect = with_equal_effects(effect, answer.chosen.model, member_of(answer.chosen.model, attribution.key))

@@ -1,7 +1,7 @@
 """One report of sensors, airframe and air: the posterior of the flights beside the contest of the sensors.
 
-The airframe is asked first. What its force explains, what both units feel alike and rest does not show is taken from
-the sensors; what only one unit shows stays a sensor's.
+The airframe has priority. An effect that its force explains, or that both units show equally and only in flight, is not
+a sensor's. An effect on one unit only remains the sensor's.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _Z95: Final = 1.959964
 _INERTIAL: Final = frozenset({str(Sensor.ACCEL), str(Sensor.GYRO)})
 _BY_ITSELF: Final = frozenset({Trait.THERMAL, Trait.WANDERING})
 _SPOKEN_OF: Final = 0.05
-"""Probability from which an effect that is not named is a warning. Source: the odds of any effect before a flight."""
+"""Probability above which an unnamed effect becomes a warning. Source: the prior odds of any effect."""
 _BEYOND_CHANCE: Final = 5.0
-"""Standard errors beyond which a size is no chance and no error of the reference. Source: a custom of physics, one in
-three million."""
+"""Standard errors beyond which a size is neither chance nor an error of the reference. Source: a custom of physics, one
+in three million."""
 _LEAST_P: Final = 1e-300
 """Smallest probability that is written. Source: below lie numbers that a double holds with fewer digits."""
 
@@ -64,15 +64,15 @@ def joined(
     Parameters
     ----------
     report
-        Of the sensors; `not_testable` where nothing could be compared.
+        Report of the sensors; `not_testable` where nothing could be compared.
     answer
-        Of the airframe.
+        Result for the airframe.
     real
-        The recording that both are of.
+        The recording that both describe.
     sim
-        The simulator's, whose units may differ from each other as much.
+        The simulator's recording, whose units may differ as much.
     companion
-        Its sensors beside their own trajectory, which may show the same.
+        Its sensors against their own trajectory, which may show the same effects.
     """
     refuted = refuted_at_rest(report, real, sim)
     shared = tuple(e for e in not_borne_out(report, real) if e not in refuted)
@@ -111,7 +111,7 @@ def joined(
 
 
 def _of_sensors(report: GapReport, sensors: tuple[EffectEstimate, ...], warnings: tuple[str, ...]) -> GapReport:
-    """The report of a flight whose airframe cannot be judged, with the effects that are a sensor's for certain."""
+    """The report of a flight whose airframe cannot be judged, with the effects that are certainly a sensor's."""
     if len(sensors) == len(report.effects):
         return replace(report, warnings=warnings)
     unknown = _without_flight(report, sensors)
@@ -169,7 +169,7 @@ def _parameter(value: FoundValue) -> ParameterEstimate:
 
 
 def _turbulence(answer: AirframeAnswer, shared: tuple[EffectEstimate, ...]) -> Iterator[EffectEstimate]:
-    """Gusts; a vehicle that shakes every unit leaves as much force open, and is not asked."""
+    """Turbulence as an effect; noise common to all accelerometers lowers its threshold."""
     loud = answer.turbulence
     noisy = any(e.sensor == Sensor.ACCEL and isinstance(by_id().get(e.id), NoiseEffect) for e in shared)
     if loud is not None and (loud.of_air or (noisy and loud.louder)):
@@ -195,7 +195,7 @@ def _jumps(answer: AirframeAnswer, real: Recording) -> Iterator[EffectEstimate]:
 
 
 def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, ...]:
-    """Each effect's part of the evidence of all."""
+    """`effects` with each one's share of the total evidence."""
     total = math.fsum(e.evidence.two_delta_loglik for e in effects)
     if total <= 0.0:
         return effects
@@ -203,14 +203,14 @@ def _with_shares(effects: tuple[EffectEstimate, ...]) -> tuple[EffectEstimate, .
 
 
 def _unknown(report: GapReport, answer: AirframeAnswer, sensors: tuple[EffectEstimate, ...]) -> Unknown:
-    """The unnamed part of the flight, else that of the sensors."""
+    """The nameless part of the flight, else that of the sensors."""
     if answer.unknown and answer.nameless >= LIKELY:
         return Unknown(flag=True, share=answer.unknown_share, shape=answer.unknown)
     return _without_flight(report, sensors)
 
 
 def _without_flight(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> Unknown:
-    """The sensors' unknown part, unless it is of an inertial sensor that no effect is left of."""
+    """The sensors' unknown part, unless it is on an inertial sensor without a remaining effect."""
     left = report.unknown
     right = _INERTIAL - {str(e.sensor) for e in sensors}
     passing = left.shape == NOT_LASTING and {w.channel.split(".")[0] for w in report.where} <= right
@@ -220,13 +220,13 @@ def _without_flight(report: GapReport, sensors: tuple[EffectEstimate, ...]) -> U
 
 
 def _shared(effects: Sequence[EffectEstimate], cause: str) -> Iterator[str]:
-    """One warning for all effects that no unit has by itself."""
+    """One warning for all effects that are not a unit's own."""
     if names := ", ".join(dict.fromkeys(effect.id for effect in effects)):
-        yield f"not a sensor's: {names}; the units feel it alike, and not at rest: {cause}"
+        yield f"not a sensor's: {names}; all units show it alike in flight, and none at rest: {cause}"
 
 
 def _refuted(effect: EffectEstimate) -> str:
-    return f"{effect.id} of {_units(effect)} is no gap: gravity at rest does not read as it would with it"
+    return f"{effect.id} of {_units(effect)} is no gap: the readings of gravity at rest contradict it"
 
 
 def _units(effect: EffectEstimate) -> str:
@@ -250,10 +250,10 @@ def _late(effect: EffectEstimate) -> str:
 
 
 def _moves(effect: EffectEstimate) -> bool:
-    """Whether an effect goes with the flight, whose forces no sensor's model knows.
+    """Whether an effect follows the forces of the flight, which no sensor model contains.
 
-    A temperature goes by itself, and so does noise that wanders. A bias of an inertial unit is compared with that of
-    the simulator's units; an offset of a compass may be the attitude's error.
+    Thermal effects and wandering noise are independent of them. A bias of an inertial unit is compared with that of the
+    simulator's units; an offset of a compass may be an attitude error.
     """
     known = by_id().get(effect.id)
     if known is None:
@@ -263,16 +263,16 @@ def _moves(effect: EffectEstimate) -> bool:
 
 
 def _compared(report: GapReport) -> bool:
-    """Whether every effect was compared with what else may be in its place: else its probability is too high."""
+    """Whether every effect was compared with its rivals; otherwise its probability is too high."""
     return not {GapStage.SELECTION, GapStage.RIVALS} & set(report.left_out)
 
 
 def _stands_out(effect: EffectEstimate, report: GapReport) -> bool:
-    """Whether an effect is larger than all that is left beside it: then it is there, on whichever unit it is.
+    """Whether an effect is larger than the residual: it is then certain, whichever unit has it.
 
-    Not if another effect may be in its place, or if something without a name is on the sensor. Noise adds nothing to
-    the model of a series: it is larger if it gains more than two nats a number. Drift noise is never. A size within
-    five standard errors may be an error of the reference, which they include.
+    Not if another effect may replace it, or if something nameless is on the sensor. Noise does not enter the mean of a
+    series, so it must gain more than two nats per number. Drift noise never qualifies. A size within five standard
+    errors may be an error of the reference, which they include.
     """
     replaced = any(rival.id != effect.id for rival in effect.confusable_with)
     if replaced or (report.unknown.flag and str(effect.sensor) in report.unknown.shape):

@@ -1,7 +1,7 @@
 """Likelihood in the domain of the cosine transform, in which the bins of stationary noise are independent.
 
-The orthonormal DCT-II diagonalises white noise and a random walk exactly and other stationary noise approximately
-(Whittle): ``-2 log L = sum_k [log S_k + (y_k - X_k beta)^2 / S_k]`` at ``w_k = pi k / n``. Powers are variances of one
+The orthonormal DCT-II diagonalises white noise and a random walk exactly, and other stationary noise approximately
+(Whittle). ``-2 log L = sum_k [log S_k + (y_k - X_k beta)^2 / S_k]`` at ``w_k = pi k / n``. Powers are variances of one
 sample.
 """
 
@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 Array = NDArray[np.float64]
 
 _SINGLE = 48
-"""Lowest bins of the periodogram that stay apart. Chosen, not measured: drifts and walks are told apart in them."""
+"""Lowest bins of the periodogram that are not merged. Chosen, not measured: they tell drifts from walks."""
 _MERGED = 900
 """Number of bins, evenly spaced in log frequency, into which the others are merged. Chosen, not measured: finer than
 any spectrum of the catalogue, and quick."""
@@ -28,7 +28,7 @@ _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
 """Factors of lengths that the Fourier transform takes quickly. Source: mixed-radix transforms; a larger prime costs its
 square."""
 _FIRST = np.sqrt(3.0) / np.pi
-"""Where a power law is evaluated for the bin of the mean: a random walk from 0 over n samples has n^2 / 3 there.
+"""Bin number at which a power law is evaluated for the mean: a random walk from 0 over n samples has n^2 / 3 there.
 Source: `1 / w^2` at `w = pi k / n` with k of that size."""
 
 

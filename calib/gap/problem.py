@@ -49,16 +49,16 @@ class ReferenceInfo:
     att_sigma_deg
         Standard deviation of its attitude, degrees; 0 where the attitude is exact or does not matter.
     att_time_s
-        Time over which that error stays the same, s.
+        Correlation time of that error, s.
     text
         One sentence for the report.
     bandwidth_hz
-        Up to which it knows how the vehicle accelerates; above, an accelerometer feels more than it tells.
+        Bandwidth of its acceleration; above, an accelerometer measures more than it contains.
     turns_hz
-        The same of how it turns, and a gyroscope.
+        Bandwidth of its rotation, for a gyroscope.
     gyro_sd, field_sd, accel_sd
-        Standard deviations of what was estimated inside: the gyroscope's matrix by rows (9), the Earth's field north,
-        east, down (3), uT, and the accelerometer's scales (3). Empty where nothing was.
+        Standard deviations of quantities estimated inside the reference: the gyroscope's matrix by rows (9), the
+        Earth's field north, east, down (3), uT, and the accelerometer's scales (3). Empty if not estimated.
     """
 
     kind: ReferenceKind
@@ -86,7 +86,7 @@ class Trace:
     sensor
         ACCEL, GYRO or MAG.
     instances
-        The instance; several if this is what they have in common.
+        The instance; several if the trace is what they have in common.
     t : shape (N,)
         Uniform, s. A hole in the recording is a stretch where `observed` is False.
     measured, ideal : shape (N, 3)
@@ -106,13 +106,13 @@ class Trace:
     motors, rotor_hz : shape (N, m) or None
         0..1; Hz.
     sigma : shape (3,) or None
-        White noise of one sample that is declared for the reference together with the sensor (a simulator's own
-        noise); None: to be learned from a nominal recording or from the data.
+        Declared white noise of one sample, of reference and sensor together (a simulator's own noise). None: to be
+        learned from a nominal recording or from the data.
     sigma_dof
         Degrees of freedom per axis from which `sigma` was estimated; infinite if it is exact.
     low_pass_hz
-        Cut-off of the firmware's own two-pole filter, which `measured` went through; None: not filtered, or not known.
-        A tone or a noise of the sensor was larger before it.
+        Cut-off of the firmware's two-pole filter that was applied to `measured`; None: not filtered, or not known.
+        Tones and noise of the sensor were larger before it.
     quantum
         Width of a quantisation bin, 0 for none.
     psd : shape (K, 3) or None
@@ -127,7 +127,7 @@ class Trace:
         Standard deviation of the noise in `ideal` that comes from an inertial unit inside the reference; 0: none does.
         That noise is in the residual too, with the other sign.
     rate_known
-        Whether the reference knows how fast the reading changes; False: only its level.
+        Whether the reference follows fast changes of the reading; False: only its level.
     """
 
     sensor: Sensor
@@ -182,10 +182,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class FaultyInstances:
-    """Which of two instances have an error: slow, against their common reference, and in fast bands.
+    """Which of two instances have an error: `slow`, against their common reference, and in fast bands. None: undecided.
 
-    None: undecided. `certain`: the slow part was measured where the reference's own error does not reach, and overrules
-    the likelihood of the other parts.
+    `certain`: the slow part was measured where the reference has no error, and overrules the likelihood of the other
+    parts.
     """
 
     slow: tuple[int, ...] | None = None
@@ -195,9 +195,9 @@ class FaultyInstances:
 
 @dataclass(frozen=True)
 class MinimumGain:
-    """Minimum gains by sensor, in twice the log-likelihood: two recordings differ by less anyway.
+    """Minimum gains by sensor, in twice the log-likelihood, above the usual difference of two recordings.
 
-    An effect may gain enough to enter the model and too little to be reported. It then stays in the model, so that no
+    An effect may gain enough to enter the model but too little to be reported. It then stays in the model, so that no
     other effect absorbs it.
 
     Parameters
@@ -209,7 +209,7 @@ class MinimumGain:
     noise_entry, noise_report
         Of noise: to enter the model, to be reported.
     drift_entry
-        Of drift noise and noise that follows the flight, to enter the model: changes of the mean look like it.
+        Of drift noise and noise that follows the flight, to enter the model: changes of the mean look like them.
     """
 
     steady_entry: Mapping[Sensor, float] = field(default_factory=dict)
@@ -230,7 +230,7 @@ class NuisanceEffect:
 
 @dataclass(frozen=True, eq=False)
 class GapProblem:
-    """The traces of a diagnosis with their reference, and what was noticed while they were made."""
+    """The traces of a diagnosis with their reference, and notices about them."""
 
     traces: tuple[Trace, ...]
     reference: ReferenceInfo
@@ -239,20 +239,20 @@ class GapProblem:
     """sha256 of the files by role."""
     warnings: tuple[str, ...] = ()
     not_testable: tuple[tuple[str, str, str], ...] = ()
-    """Effect id, reason, need: what the recordings do not allow to be tested."""
+    """Effects that the recordings cannot test: id, reason, need."""
     nominal: tuple[Trace, ...] = ()
-    """Sensors of recordings without an effect: what the samples of both show is no gap."""
+    """Sensors of recordings without an effect; an effect in the samples of both is not a gap."""
     minimum_gain: MinimumGain = field(default_factory=MinimumGain)
     nuisance: tuple[NuisanceEffect, ...] = ()
-    """What another recording shows against its own reference."""
+    """Effects that another recording shows against its own reference."""
     alone: bool = False
     """Whether a re-estimated trajectory is the only reference, without a simulated or a nominal recording beside it."""
     own_attitude: tuple[Array, Array] | None = None
     """The attitude that the vehicle logged: times (K,), s, and quaternions (K, 4), continuous; None: it logged none."""
     companion: tuple[Trace, ...] = ()
-    """The simulator's flight, its own effects in the ideal reading: what it shows as well is no gap."""
+    """The simulator's flight, with its own effects in the ideal reading; effects that it shows too are not a gap."""
     worse: dict[Sensor, FaultyInstances] = field(default_factory=dict)
-    """By sensor with two instances, which of them have something."""
+    """By sensor with two instances, which of them have an error."""
 
 
 def known(quantity: Array | None, name: str) -> Array:

@@ -1,4 +1,4 @@
-"""Progress of a diagnosis, and what is left out of it to keep a time limit.
+"""Progress of a diagnosis, and the work left out to keep a time limit.
 
 There is no clock here: the caller measures the time. The parts of the time are estimates from recordings of minutes.
 """
@@ -15,7 +15,7 @@ from mavcal.calib.gap.schema import GapReport, GapVerdict
 
 
 class GapStage(StrEnum):
-    """What a diagnosis does, in this order."""
+    """Stages of a diagnosis, in this order."""
 
     AIRFRAME = "airframe"
     REFERENCE = "reference"
@@ -35,7 +35,7 @@ _BEGINS = {
     GapStage.BLOCKS: 0.7,
     GapStage.REPORT: 0.97,
 }
-"""Part of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
+"""Fraction of the whole time after which a stage begins. Source: decision 36, recordings of minutes."""
 _MAY_TAKE = {
     GapStage.AIRFRAME: 0.3,
     GapStage.REFERENCE: 0.4,
@@ -45,21 +45,20 @@ _MAY_TAKE = {
     GapStage.BLOCKS: 0.9,
     GapStage.REPORT: math.inf,
 }
-"""Part of the limit after which nothing more is begun in a stage; infinite: it is never left out. Source: decision
-36."""
+"""Fraction of the limit after which no work begins in a stage; infinite: it is never left out. Source: decision 36."""
 _REPORTED_FROM = 0.9
-"""Part of the limit that the search and held-out blocks may fill; the rest is for the report. Source: decision 36,
-flights of minutes."""
+"""Fraction of the limit for the search and held-out blocks; the rest is for the report. Source: decision 36, flights of
+minutes."""
 DEFAULT_LIMIT_S = 60.0
 """Processor time, s, after which a diagnosis ends unless more is asked for. Chosen, not measured: nobody waits longer
 beside a vehicle."""
 _TOLD_EVERY_S = 0.5
-"""Time, s, after which a step that is not done yet tells again how long the rest takes. Chosen, not measured: a line
-that changes twice a second is alive."""
+"""Interval, s, of progress reports during a step. Chosen, not measured: a line that changes twice a second looks
+alive."""
 _FITS_AFTERWARDS = {GapStage.SELECTION: 12.0, GapStage.RIVALS: 12.0, GapStage.HELD_OUT: 5.0}
-"""Fits of a whole model that each of its effects needs after a stage. Source: decision 36, flights of minutes."""
+"""Whole-model fits per effect that are needed after a stage. Source: decision 36, flights of minutes."""
 _MANY = 8
-"""Steps after which half of a stage is believed to be done. Chosen, not measured: the size of a usual search."""
+"""Steps after which half of a stage counts as done. Chosen, not measured: the size of a usual search."""
 _TEXT = {
     GapStage.AIRFRAME: "comparing airframe and air",
     GapStage.REFERENCE: "making the reference",
@@ -94,21 +93,21 @@ class GapProgress:
 
 
 def _ignore(_standing: GapProgress) -> None:
-    """No listener."""
+    """Ignore the progress, for callers without a listener."""
 
 
 @dataclass(eq=False)
 class GapPace:
-    """How long a diagnosis may take, what was left out for it, and who hears how far it is.
+    """Time limit of a diagnosis, the work left out to keep it, and its progress listener.
 
     Parameters
     ----------
     elapsed
-        Seconds since it began; None: nobody measures, and there is no limit.
+        Seconds since the beginning; None: no clock and no limit.
     limit_s
         After which it should end.
     on_progress
-        Hears of every step.
+        Called at every step.
     """
 
     elapsed: Callable[[], float] | None = None
@@ -177,9 +176,9 @@ class GapPace:
         return max(min(took * (1.0 - share) / done, self.limit_s - took), 0.0)
 
     def ends(self, needs_s: float = 0.0) -> bool:
-        """Whether work of `needs_s` has to be left out of this stage, which is recorded.
+        """Whether work of `needs_s` must be left out of this stage; if so, this is recorded.
 
-        It is called before every piece of work, so the listener also hears from long steps.
+        It is called before every piece of work, so progress is also reported during long steps.
         """
         if self.now - self.reported_s > _TOLD_EVERY_S:
             self._notify()
@@ -203,7 +202,7 @@ class GapPace:
 
 
 def with_limit(report: GapReport, pace: GapPace) -> GapReport:
-    """The report with what the limit left out; no verdict rests on work that was not done."""
+    """The report with the stages that the limit left out, and no verdict based on work that was not done."""
     if not pace.left_out:
         return report
     missing = "; ".join(_LEFT_OUT[stage] for stage in pace.left_out)
@@ -220,7 +219,7 @@ def with_limit(report: GapReport, pace: GapPace) -> GapReport:
 
 
 def unsearched(report: GapReport, pace: GapPace) -> GapReport:
-    """The report of sensors and airframe: nothing differs only where all was looked for and compared."""
+    """The joint report; its verdict is no gap only if everything was searched for and compared."""
     cut = {GapStage.AIRFRAME, GapStage.SELECTION, GapStage.RIVALS} & pace.left_out.keys()
     nothing = report.verdict is GapVerdict.NO_GAP
     return replace(report, verdict=GapVerdict.NOT_TESTABLE) if cut and nothing else report
@@ -228,4 +227,4 @@ def unsearched(report: GapReport, pace: GapPace) -> GapReport:
 
 _NOT_COMPARED = {GapVerdict.EXPLAINED: GapVerdict.PARTLY_EXPLAINED, GapVerdict.NO_GAP: GapVerdict.NOT_TESTABLE}
 _NOT_SEARCHED = {**_NOT_COMPARED, GapVerdict.UNKNOWN: GapVerdict.NOT_TESTABLE}
-"""What is said in place of verdicts that claim that all was tried: in the place of what was found, or at all."""
+"""Verdicts that replace those that claim a complete search."""

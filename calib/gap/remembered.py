@@ -1,8 +1,8 @@
-"""Results that one diagnosis needs repeatedly, kept until it ends.
+"""Cache of results that one diagnosis needs repeatedly.
 
-A diagnosis computes the same transforms, columns and fits many times. They are kept in a store that begins and ends
-with it, so nothing outlives the report and no two diagnoses share a result. The store is a context variable: a thread
-started inside a diagnosis has none and computes; a forked process has a copy.
+A diagnosis computes the same transforms, columns and fits many times. Its cache begins and ends with it, so nothing
+outlives the report and no two diagnoses share a result. The cache is a context variable: a thread started inside a
+diagnosis has none and computes; a forked process has a copy.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 ABSENT: Final = object()
-"""In place of a result that is not in the store; None may be one."""
+"""Stands for a missing result, since None may be a result."""
 
 
 class SameArray:
-    """An array as a key: equal to itself alone, whatever its numbers.
+    """An array as a key: equal only to itself, whatever its values.
 
     It holds the array, so that no later array can have its id while the key exists.
     """

@@ -1,8 +1,8 @@
-"""Tones of an inertial sensor that are jitter of its sampling, and no vibration.
+"""Tones of an inertial sensor that are sampling jitter, not vibration.
 
-A unit may be sampled at another rate than it is logged. It is then late by a time that varies with the difference of
-both rates. Its error is that time multiplied by the rate of change: lines that grow, shrink and turn over with the
-movement, in a simulator as on a vehicle. ArduPilot's simulated second unit does so at multiples of 40 Hz.
+A unit may be sampled at a rate that differs from its log rate. Its delay then varies with the difference of both rates.
+Its error is the delay multiplied by the rate of change. The lines therefore grow, shrink and change sign with the
+movement, in a simulator as on a vehicle. ArduPilot's simulated second unit has them at multiples of 40 Hz.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 _SEGMENT_S: Final = 2.0
-"""Seconds in which a tone keeps its phase. Chosen, not measured: a movement of a vehicle turns over within."""
+"""Time, s, in which a tone keeps its phase. Chosen, not measured: vehicle movement reverses within it."""
 _SMOOTH_S: Final = 0.05
-"""Seconds over which a reading is averaged for its rate of change. Chosen, not measured: two periods of 40 Hz."""
+"""Averaging time, s, for the rate of change of a reading. Chosen, not measured: two periods of 40 Hz."""
 _FEWEST: Final = 20
-"""Samples for a rate of change. Chosen, not measured: a segment has far more."""
+"""Least samples for a rate of change. Chosen, not measured: a segment has far more."""
 _BESIDE_HZ: Final = 4.0 / _SEGMENT_S
-"""Hz beside a tone that do not see it. Source: four times the resolution of a segment."""
+"""Distance, Hz, from a tone at which it is not visible. Source: four times the resolution of a segment."""
 
 
 def is_sampling_jitter(effect: EffectEstimate, real: Recording) -> bool:
-    """Whether a tone is rather proportional to the rate of change of its units' readings than of one size."""
+    """Whether a tone is proportional to the rate of change of its units' readings rather than constant in amplitude."""
     hz = next((p.value for p in effect.params if p.name == "frequency_hz"), None)
     if hz is None or effect.sensor not in (Sensor.ACCEL, Sensor.GYRO):
         return False
@@ -54,7 +54,7 @@ def _follows_change(channel: Channel, hz: float) -> bool:
     t = t[: count * rows].reshape(count, rows, 1)
 
     def excess(factor: Array) -> float:
-        """Energy of the tone times `factor`, beyond that of other frequencies close by."""
+        """Energy of the tone multiplied by `factor`, minus that of neighbouring frequencies."""
         at, *beside = (
             _explained(rest, factor * np.exp(2j * np.pi * f * t)) for f in (hz, hz - _BESIDE_HZ, hz + _BESIDE_HZ)
         )

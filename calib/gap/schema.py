@@ -28,7 +28,7 @@ Json = dict[str, Any]
 
 SCHEMA = "gap/1"
 EVEN = 0.5
-"""Probability above which a name is likelier than all else together. Source: even odds."""
+"""Probability above which an effect is likelier than all alternatives together. Source: even odds."""
 USELESS_DEG = 3.0
 """Standard deviation of a re-estimated attitude, degrees, above which no sensor is judged by it. A tilt of it reads
 like 0.5 m/s2 of an accelerometer and 2.6 uT of a compass in a field of 50 uT. Source: decision 32."""
@@ -36,7 +36,7 @@ REFERENCE_NEED = (
     "a recording that speeds up, brakes and turns through all headings with GPS velocity, a compass and an inertial "
     "unit faster than 10 Hz; or --sim of the same trajectory; or a measured pose (q_* or ref_q_* columns)"
 )
-"""What makes a better reference."""
+"""Advice on how to get a better reference."""
 RE_ESTIMATED = "estimator"
 """Kind of the reference that is made from the recording itself."""
 FIRST = 1
@@ -67,7 +67,8 @@ class Regime:
 class LocatedGap:
     """A channel in a regime in which the sensor differs from its reference by more than the noise.
 
-    `nats_per_sample` is the loss of log-likelihood against the declared noise, `p_holm` corrected for every cell.
+    `nats_per_sample` is the loss of log-likelihood against the declared noise; `p_holm` is corrected for the number of
+    cells.
     """
 
     channel: str
@@ -90,17 +91,17 @@ class ParameterEstimate:
     unit: str
     value_real: float | None = None
     value_sim: float | None = None
-    """Of the two flights, where both were held against a model; they may share a bias that the ratio has not."""
+    """Values of both flights, where both were fitted with a model; they may share a bias that cancels in the ratio."""
     ratio: float | None = None
     ratio_ci95: tuple[float, float] | None = None
-    """Real by simulated: the claim of an airframe's effect."""
+    """Ratio real over simulated, the result for an airframe effect."""
 
 
 @dataclass(frozen=True)
 class EffectEvidence:
     """Evidence of an effect.
 
-    `share` is its part of the common gain of all effects, with the mean of its gain as the first and as the last one.
+    `share` is its part of the common gain of all effects, from the mean of its gain as the first and as the last one.
     """
 
     two_delta_loglik: float
@@ -111,7 +112,7 @@ class EffectEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether something else is likelier: a rival, another instance, or an unnamed cause."""
+        """Whether an alternative is likelier: a rival, another instance, or an unnamed cause."""
         return self.probability < EVEN
 
 
@@ -131,7 +132,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Gates:
-    """Checks that an effect passed; None where it could not be made."""
+    """Results of the checks of an effect; None where a check could not be made."""
 
     heldout_blocks: bool | None = None
     other_log: bool | None = None
@@ -142,8 +143,8 @@ class Gates:
 class EffectEstimate:
     """An effect that was found. Instances count from 1; those of a weak motor are motors.
 
-    `sensor` is None where no sensor is wrong: `domain` says airframe or environment. `sim_patch` holds names of the
-    simulator; tables of a file stand under ``frame_json`` and ``sdf``.
+    `sensor` is None where no sensor is wrong: `domain` says airframe or environment. `sim_patch` has the simulator's
+    parameter names; tables of a file are under ``frame_json`` and ``sdf``.
     """
 
     id: str
@@ -161,7 +162,7 @@ class EffectEstimate:
 
 @dataclass(frozen=True)
 class HiddenDriver:
-    """A common driver of the axes' drifts, unrecorded, along `direction`."""
+    """A common, unrecorded cause of the axes' drifts, along `direction`."""
 
     p: float
     direction: tuple[float, float, float]
@@ -192,7 +193,7 @@ class SequenceStep:
 
 
 _WIDEST = 1.0
-"""Width of the 95 % interval of a share above which it says nothing. Chosen, not measured: the whole gap."""
+"""Width of the 95 % interval of a share above which it is meaningless. Chosen, not measured: the whole gap."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +233,7 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class Power:
-    """The smallest value of a parameter that these recordings would have shown with a chance of one half."""
+    """The smallest value of a parameter that these recordings would show with a probability of one half."""
 
     id: str
     name: str
@@ -319,7 +320,7 @@ class GapReport:
 
     @property
     def tested(self) -> bool:
-        """Whether anything could be tested; without it the verdict says nothing about any sensor."""
+        """Whether anything could be tested; otherwise the verdict applies to no sensor."""
         return self.multiple_testing.m > 0 or bool(self.effects)
 
     def plot(self) -> Drawing:
@@ -367,7 +368,7 @@ def _rows(effect: EffectEstimate) -> Iterator[tuple[str, ...]]:
 
 
 def as_json(report: GapReport) -> Json:
-    """The JSON of GAP 8, ``power`` and ``tested`` beside it."""
+    """The JSON of GAP 8, plus ``power`` and ``tested``."""
     return {"schema": SCHEMA, **CONVERTER.unstructure(report), "tested": report.tested}
 
 
@@ -390,4 +391,4 @@ def _made() -> Converter:
 
 
 CONVERTER = _made()
-"""Writes a report and every part of it."""
+"""Converter of a report and its parts to JSON."""

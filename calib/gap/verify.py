@@ -1,15 +1,15 @@
-"""What is left of a gap once the simulator was run again with the remedy.
+"""The part of a gap that is left after the simulator was run again with the remedy.
 
-The simulator's new flight is diagnosed as the real one was: beside the same simulated flight, so that what both
-simulated flights show alike is nobody's remedy. The parameters of both diagnoses are compared, and what agrees within
-its errors is closed. What the new flight has is then put into the ideal readings of the real one. This problem is
-diagnosed once more, with what two flights differ by anyway. What it finds is what the simulator still lacks; where
-nothing is found the gap is closed. The two flights need not be the same. Where they are (the new log is a reference for
-the real one by itself) the real sensors are compared with the simulated ones directly.
+The simulator's new flight is diagnosed like the real one, against the same simulated flight, so that effects common to
+both simulated flights cancel. The parameters of both diagnoses are compared; effects that agree within their errors are
+closed. The effects of the new flight are then added to the ideal readings of the real one. This problem is diagnosed
+again, allowing for the usual difference of two flights. It finds what the simulator still lacks; if it finds nothing,
+the gap is closed. The two flights need not be the same. If they are (the new log itself is a reference for the real
+one), the real sensors are compared with the simulated ones directly.
 
-An effect of the airframe is compared by its parameters alone: those of the real flight and those of the new one, both
-beside the same simulated flight. It is closed if they agree within their errors, so that real by new is 1. What the air
-did on either day is compared with nothing.
+An effect of the airframe is compared by its parameters alone: those of the real and of the new flight, both against the
+same simulated flight. It is closed if they agree within their errors, so that real over new is 1. Effects of the day's
+air are not compared.
 """
 
 from __future__ import annotations
@@ -51,28 +51,29 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 _BLOCKS = 20
-"""Blocks of a series that are drawn with replacement. Chosen, not measured: each has seconds of a minute, longer than
-noise remembers."""
+"""Blocks of a series for the bootstrap. Chosen, not measured: each has seconds of a minute, longer than noise
+remembers."""
 _DRAWS = 400
-"""Draws of as many blocks, for an interval. Chosen, not measured: ten lie beyond either end of 95 %."""
+"""Bootstrap draws for an interval. Chosen, not measured: ten lie beyond either end of 95 %."""
 _SEED = 20
-"""Seed of the draws: one gap has one interval. Chosen, not measured: any number does."""
+"""Seed of the draws, for reproducible intervals. Chosen, not measured: any number does."""
 _UNSEEN = 12.0
-"""Gain, nats in all, that the contest's threshold hides. Chosen, not measured: a deviance of 24, about where detection
-begins (GAP 4.2)."""
+"""Total gain, nats, that may be hidden below the contest's threshold. Chosen, not measured: a deviance of 24, about
+where detection begins (GAP 4.2)."""
 _CHANCE = 0.0455
 """Chance that one number of two flights that are alike differs by more than two standard errors. Source: two-sided
 normal distribution."""
 _ERRORS = 2.0
-"""Standard errors within which one parameter is closed. Source: AIRFRAME 6, a rerun of the patched simulator."""
+"""Standard errors within which a parameter is closed. Source: AIRFRAME 6, a rerun of the patched simulator."""
 
 
 @dataclass(frozen=True)
 class EffectAgreement:
-    """An effect of one diagnosis beside the same one of another.
+    """An effect of one diagnosis and its counterpart in another.
 
     `other` is None where the other diagnosis has none on the same instances. `holds`: no parameter differs by more than
-    two standard errors, or as many more as the largest of several differs by chance.
+    two standard errors. For several parameters the limit is higher, since the largest of several differs more by
+    chance.
     """
 
     effect: EffectEstimate
@@ -82,9 +83,9 @@ class EffectAgreement:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is left of a parameter: the first by the other less 1 where it is a `ratio`, else the first less the other.
+    """Remainder of a parameter: first over other minus 1 for a `ratio`, else first minus other.
 
-    `se` is its standard error, `within` whether it is no more than two of them.
+    `se` is its standard error; `within` tells whether it is at most two of them.
     """
 
     value: float
@@ -95,7 +96,7 @@ class Remainder:
 
 @dataclass(frozen=True)
 class Size:
-    """A gap in nats a number (one axis of one sample) against the noise that the diagnosis ends with; 95 % interval."""
+    """A gap in nats per number (one axis of one sample) against the diagnosis' final noise; 95 % interval."""
 
     nats: float
     ci95: tuple[float, float]
@@ -103,11 +104,10 @@ class Size:
 
 @dataclass(frozen=True)
 class Left:
-    """One effect before and after: `share` of its evidence that is left, and its parameters.
+    """One effect before and after: the `share` of its evidence that is left, and its parameters.
 
-    `again` are those that the new flight has by itself, None where it shows no such effect or was not diagnosed by
-    itself; `agrees` whether they are those of `before` within their errors. `remainders` are those of an airframe,
-    with their standard errors.
+    `again` are those of the new flight's own diagnosis; None without such an effect or diagnosis. `agrees`: whether
+    they equal `before` within their errors. `remainders` are those of an airframe effect, with their standard errors.
     """
 
     id: str
@@ -124,8 +124,8 @@ class Left:
 class Verified:
     """The gap before and with the remedy.
 
-    `effects` are those of the first diagnosis; `added` what only the remedied simulator has and the vehicle has not;
-    `rest` the report of what is left.
+    `effects` are those of the first diagnosis, `added` those that only the remedied simulator has, and `rest` the
+    report of the remaining gap.
     """
 
     same_flight: bool
@@ -163,7 +163,7 @@ def verify(
     again
         A recording of the simulator with the remedy.
     alpha
-        Chance that anything is reported as left where nothing is.
+        Probability of reporting a remainder where there is none.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def _anew(
     *,
     same: bool,
 ) -> GapReport:
-    """The new flight beside what the real one was beside; nothing where neither sensors nor airframe ask for it."""
+    """Diagnosis of the new flight against the companions of the real one; empty if nothing needs it."""
     if any(e.domain is not Domain.SENSOR for e in report.effects) or report.airframe is not None:
         found = run(again, sim, nominal, alpha=alpha, nested=False)
         if not found.tested:
@@ -234,13 +234,13 @@ def _anew(
 
 
 def _brought(flown: Sequence[EffectAgreement], anew: GapReport) -> tuple[EffectEstimate, ...]:
-    """What the new flight's airframe has and the real one has not."""
+    """Effects of the new flight's airframe that the real one does not have."""
     known = {id(a.other) for a in flown}
     return tuple(e for e in airframe_effects(anew.effects) if id(e) not in known)
 
 
 def _with(rest: GapReport, effects: Sequence[EffectEstimate]) -> GapReport:
-    """`rest` with `effects` that are not closed either: then there is a gap."""
+    """`rest` with further unclosed `effects`; its verdict is then a gap."""
     if not effects:
         return rest
     verdict = GapVerdict.EXPLAINED if rest.verdict is GapVerdict.NO_GAP else rest.verdict
@@ -248,7 +248,7 @@ def _with(rest: GapReport, effects: Sequence[EffectEstimate]) -> GapReport:
 
 
 def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
-    """`again` beside its own reference, as the real recording was; an error says which recording it is about."""
+    """`again` against its own reference, like the real recording; an error states which recording it concerns."""
     try:
         return problem_of(again, sim, nominal, alpha)
     except InvalidInputError as error:
@@ -256,9 +256,9 @@ def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording
 
 
 def _remedied(compared: Sequence[EffectAgreement], found: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """What the simulator has now: where all of a sensor agrees, the first diagnosis knows its size best.
+    """Effects of the remedied simulator; where all effects of a sensor agree, with the values of the first diagnosis.
 
-    The parameters of one sensor depend on each other: those of two diagnoses are not mixed.
+    The parameters of one sensor depend on each other, so those of two diagnoses are not mixed.
     """
     apart = {a.effect.sensor for a in compared if not a.holds}
     as_before = {id(a.other): a.effect for a in compared if a.holds and a.effect.sensor not in apart}
@@ -266,7 +266,7 @@ def _remedied(compared: Sequence[EffectAgreement], found: Sequence[EffectEstimat
 
 
 def _without(rest: GapReport, agreed: Collection[tuple[str, tuple[int, ...]]]) -> GapReport:
-    """`rest` without effects that agree and are still seen, since nobody can replay them: those of the lattice."""
+    """`rest` without lattice effects that agree: they cannot be replayed, and so are found again."""
     effects = tuple(e for e in rest.effects if (e.id, e.instances) not in agreed)
     if len(effects) == len(rest.effects):
         return rest
@@ -277,7 +277,7 @@ def _without(rest: GapReport, agreed: Collection[tuple[str, tuple[int, ...]]]) -
 def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimate]) -> tuple[EffectAgreement, ...]:
     """Each of `effects` with its counterpart among `others`, each of which is used once.
 
-    Of several of one kind (steps), the one with the nearest parameters.
+    Of several of one kind (steps), the one with the nearest parameters is chosen.
     """
     left = list(others)
     found = []
@@ -291,7 +291,7 @@ def agreements(effects: Sequence[EffectEstimate], others: Iterable[EffectEstimat
 
 
 def remainders(compared: EffectAgreement) -> Mapping[str, Remainder]:
-    """What is left of each parameter by name; where the other diagnosis has no such effect, all of it."""
+    """Remainder of each parameter by name; all of it where the other diagnosis has no such effect."""
     theirs = {} if compared.other is None else {p.name: p for p in compared.other.params}
     return {p.name: _remainder(p, theirs.get(p.name)) for p in compared.effect.params}
 
@@ -308,7 +308,7 @@ def _remainder(one: ParameterEstimate, other: ParameterEstimate | None) -> Remai
 
 
 def distance(one: EffectEstimate, other: EffectEstimate) -> float:
-    """Largest difference of their parameters in units of the allowed one; infinite without a common parameter."""
+    """Largest difference of their parameters relative to the allowed one; infinite without a common parameter."""
     theirs = {p.name: p for p in other.params}
     apart = [
         abs(p.value - theirs[p.name].value) / max(math.hypot(p.se, theirs[p.name].se), 1e-300)
@@ -321,9 +321,9 @@ def distance(one: EffectEstimate, other: EffectEstimate) -> float:
 
 
 def size_of(report: GapReport) -> Size:
-    """Nats a number that the effects of `report` are worth, by blocks of the recording drawn with replacement.
+    """Gap in nats per number explained by the effects of `report`, with a bootstrap interval over blocks.
 
-    Where nothing was found the interval ends at what would not have been noticed.
+    Where nothing was found, the interval ends at the largest gap that would have been missed.
     """
     losses = [_blocks(series) for series in report.series if len(series.t) >= 2 * _BLOCKS]
     if not losses:
@@ -339,7 +339,7 @@ def size_of(report: GapReport) -> Size:
 
 
 def _blocks(series: SeriesFit) -> Array:
-    """By block: loss of log-likelihood for want of the effects that are told, and the count of numbers."""
+    """By block: loss of log-likelihood without the reported effects, and the count of numbers."""
     left = series.residual - series.modelled
     without = left + sum(series.parts.values(), np.zeros_like(left))
     loss = 0.5 * ((without**2 - left**2) / np.maximum(series.sigma, 1e-30) ** 2).sum(axis=1)
@@ -359,9 +359,10 @@ def _left(compared: EffectAgreement, rest: GapReport) -> Left:
 
 
 def _left_flying(compared: EffectAgreement) -> Left:
-    """An effect of the airframe: real by new less 1 where it is a ratio, else real less new.
+    """Remainder of an airframe effect: real over new minus 1 for a ratio, else real minus new.
 
-    The share is that of the squares in standard errors of the first diagnosis, as evidence grows; 0 where they agree.
+    The share is that of the squares in standard errors of the first diagnosis, in proportion to evidence; 0 where they
+    agree.
     """
     effect, other = compared.effect, compared.other
     before = {p.name: p.value for p in effect.params}

@@ -1,6 +1,6 @@
-"""Effects of a sensor that the other units or rest contradict: every unit shows them, and in flight only.
+"""Effects of a sensor that other units, or the readings at rest, contradict.
 
-What two inertial units see alike, and rest does not show, is the airframe or the air (AIRFRAME 5.6).
+An effect that two inertial units show equally, and only in flight, is of the airframe or the air (AIRFRAME 5.6).
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ Array = NDArray[np.float64]
 
 _INERTIAL: Final = (Sensor.ACCEL, Sensor.GYRO)
 _AT_REST: Final = (SensorTerm.BIAS, SensorTerm.SCALE)
-"""What gravity at rest shows of an accelerometer."""
+"""Terms of an accelerometer that gravity at rest shows."""
 _OF_A_PART: Final = (SensorTerm.MISALIGNMENT, SensorTerm.ROTATION)
 _OWN: Final = 0.25
-"""Part of a residual's variance that the difference of two units must have so that it is a unit's own noise. Chosen,
+"""Least variance of the difference of two units, relative to the residual's, for the noise to be a unit's own. Chosen,
 not measured: half of what independent noise would have."""
 _FOLLOWS: Final = 0.5
-"""Slope of the difference of two units on an effect from which on the difference follows it. Source: nearer to 1, which
-is what the effect says, than to 0."""
+"""Least slope of the difference of two units on an effect for the difference to follow it. Source: nearer to 1, the
+prediction of the effect, than to 0."""
 _SEEN: Final = 5.0
-"""Standard errors of that slope, of white noise, that it must have. Chosen, not measured: it is not white."""
+"""Least slope in its standard errors for white noise. Chosen, not measured: it is not white."""
 _SAME_TIME_S: Final = 0.003
-"""s between samples of two units that count as one moment. Source: one loop at 400 Hz."""
+"""Time, s, between samples of two units that count as simultaneous. Source: one loop at 400 Hz."""
 _CONSTANT: Final = 0.01
-"""Part of its mean by which an effect varies that is constant. Chosen, not measured: a hundredth shows nothing."""
+"""Variation relative to its mean below which an effect is constant. Chosen, not measured: a hundredth shows nothing."""
 _REST: Final = 0.03
-"""m/s2 by which the norm at rest may differ from gravity. Source: local gravity."""
+"""Largest difference, m/s2, of the norm at rest from gravity. Source: local gravity."""
 _BEFORE_S, _LONGEST_S, _FEWEST = 0.5, 30.0, 20
-"""Seconds before a start in which somebody touches the vehicle, seconds of rest, and samples of it at least. Chosen,
-not measured: a vehicle that waits longer may be carried."""
+"""Time, s, left out before a start, in which somebody may touch the vehicle; longest rest, s, that is used; and its
+least samples. Chosen, not measured: a vehicle that waits longer may be carried."""
 
 
 def of_no_sensor(report: GapReport, real: Recording, sim: Recording | None) -> tuple[EffectEstimate, ...]:
-    """Effects that every unit shows alike and only in flight, that rest contradicts, or that are jitter of sampling."""
+    """Effects that all units show equally and only in flight, that rest contradicts, or that are sampling jitter."""
     late = tuple(effect for effect in report.effects if is_sampling_jitter(effect, real))
     return (*not_borne_out(report, real), *refuted_at_rest(report, real, sim), *late)
 
 
 def not_borne_out(report: GapReport, real: Recording) -> tuple[EffectEstimate, ...]:
-    """Effects of inertial sensors that every unit shows alike, and only in flight."""
+    """Effects of inertial sensors that all units show equally, and only in flight."""
     return tuple(
         effect for effect in report.effects if effect.sensor in _INERTIAL and not _borne_out(effect, report, real)
     )
@@ -69,7 +69,7 @@ def refuted_at_rest(report: GapReport, real: Recording, sim: Recording | None) -
 
 
 def _refuted(effect: EffectEstimate, real: Recording, sim: Recording | None) -> bool:
-    """Whether gravity at rest, beyond what the simulator reads, is not what an accelerometer with the effect reads."""
+    """Whether an accelerometer with the effect would read gravity at rest differently, relative to the simulator."""
     known = by_id().get(effect.id)
     if effect.sensor != Sensor.ACCEL or known is None or known.term not in _AT_REST:
         return False
@@ -127,7 +127,7 @@ def _borne_out(effect: EffectEstimate, report: GapReport, real: Recording) -> bo
 
 
 def _of_a_part(effect: CatalogueEffect | None) -> bool:
-    """Whether an effect is of one part: no two units have it alike, as they do a filter or a clock."""
+    """Whether an effect belongs to a single part: units do not share it, as they share a filter or a clock."""
     return effect is not None and (effect.term in _OF_A_PART or Trait.JUMPING in effect.traits)
 
 
@@ -140,7 +140,7 @@ def _gravity_only(series: SeriesFit) -> bool:
 
 
 def as_simulated(report: GapReport, real: Recording, sim: Recording) -> tuple[EffectEstimate, ...]:
-    """Biases by which the simulator's units differ from each other too: what both flights show is no gap."""
+    """Biases by which the simulator's units differ from each other too, which are therefore not a gap."""
     return tuple(e for e in report.effects if e.sensor in _INERTIAL and _simulated(e, real, sim))
 
 
@@ -195,7 +195,7 @@ def _best(real: Recording, sensor: Sensor) -> Iterable[Channel]:
 
 
 def _of_one_unit(units: dict[int, Channel], own: list[int], beside: list[int], series: list[SeriesFit]) -> bool:
-    """Whether the units' difference has a fair part of what is left of the effect's own unit."""
+    """Whether the units' difference has a considerable part of the residual of the effect's unit."""
     if not beside:
         return True
     difference = _difference(units[own[0]], units[beside[0]])
@@ -210,7 +210,7 @@ def _of_one_unit(units: dict[int, Channel], own: list[int], beside: list[int], s
 
 
 def _difference(first: Channel, second: Channel) -> tuple[Array, Array] | None:
-    """First minus second unit (N, 3) at the moments that both have; None where they share too few."""
+    """Times and first minus second unit (N, 3) at their common sample times; None where these are too few."""
     rows = np.clip(np.searchsorted(first.t, second.t), 1, max(len(first) - 1, 1))
     before = np.abs(first.t[rows - 1] - second.t) < np.abs(first.t[rows] - second.t)
     rows = rows - before
@@ -221,7 +221,7 @@ def _difference(first: Channel, second: Channel) -> tuple[Array, Array] | None:
 
 
 def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
-    """Whether the difference of the units follows what the effect says of its unit."""
+    """Whether the difference of the units follows the effect's contribution to its unit."""
     part = next((p for name, p in series.parts.items() if name.startswith(id_)), None)
     difference = _difference(own, other)
     if part is None or difference is None or not np.abs(part).any():
@@ -238,6 +238,6 @@ def _follows(own: Channel, other: Channel, series: SeriesFit, id_: str) -> bool:
 
 
 def _off_at_rest(instance: int, real: Recording) -> bool:
-    """Whether gravity reads wrong at rest; True where nothing says so."""
+    """Whether the unit misreads gravity at rest; True where that is unknown."""
     reads = _at_rest(real, instance)
     return reads is None or bool(abs(float(np.linalg.norm(reads)) - STANDARD_GRAVITY) > _REST)

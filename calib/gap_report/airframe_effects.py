@@ -14,15 +14,16 @@ _AXES = {"x": "roll", "y": "pitch", "z": "yaw"}
 _PAIRS = ("xy", "xz", "yz")
 _PER_CENT, _MS = 100.0, 1000.0
 _FAST = 10.0
-"""m/s at which the lift of forward flight is stated. Chosen, not measured: a brisk flight of a small multicopter."""
+"""Speed, m/s, at which the lift of forward flight is stated. Chosen, not measured: a brisk flight of a small
+multicopter."""
 _DECIDED = 0.9
-"""Probability from which a cause is stated as the only one. Source: that from which an effect is named."""
+"""Probability above which only one cause is stated. Source: the limit for naming an effect."""
 _Params = Mapping[str, ParameterEstimate]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One parameter as a person reads it: real against simulated, its 95 % interval, and both sides where known."""
+    """One parameter for display: real against simulated, its 95 % interval, and both values where known."""
 
     label: str
     difference: str
@@ -32,7 +33,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class _Kind:
-    """`plain` names the effect, `finding` says what was found; `sides` has label and unit of the sides by parameter."""
+    """`plain` names the effect, `finding` states the result; `sides` has label and unit of both values by parameter."""
 
     plain: str
     finding: Callable[[_Params, EffectEstimate], str]
@@ -50,7 +51,7 @@ def plain_name(effect_id: str) -> str:
 
 
 def phrase(effect: EffectEstimate) -> str:
-    """``motor 3 is 7.9 % weak (7.4 to 8.4)``: what was found, to go on in a sentence."""
+    """The finding as part of a sentence: ``motor 3 is 7.9 % weak (7.4 to 8.4)``."""
     kind = _KINDS.get(effect.id)
     if kind is None or not effect.params:
         part = "motor" if effect.sensor is None else "unit"
@@ -63,12 +64,12 @@ def phrase(effect: EffectEstimate) -> str:
 
 
 def labels(effect_id: str) -> Mapping[str, tuple[str, str]]:
-    """Label of each parameter, and the unit of its two sides: empty where only their ratio means anything."""
+    """Label of each parameter, and the unit of both values; empty where only their ratio is meaningful."""
     return _KINDS[effect_id].sides if effect_id in _KINDS else {}
 
 
 def claims(effect: EffectEstimate) -> tuple[Claim, ...]:
-    """The parameters, except the number of a motor, which its name has."""
+    """The parameters, except the number of a motor, which is part of its name."""
     known_ones = labels(effect.id)
     return tuple(_claim(p, *known_ones.get(p.name, (p.name, p.unit))) for p in effect.params if p.name != "motor")
 
@@ -80,7 +81,7 @@ def rival_phrase(rival: Rival) -> str:
 
 
 def wind_from(north: float, east: float) -> tuple[float, float]:
-    """Speed, m/s, and the direction that it comes from, degrees from north; of where the air moves to."""
+    """Wind speed, m/s, and the direction that it comes from, degrees from north, from the velocity of the air."""
     return math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
 
 
@@ -94,7 +95,7 @@ def _claim(p: ParameterEstimate, label: str, unit: str) -> Claim:
 
 
 def _both(p: ParameterEstimate, unit: str) -> str:
-    """``real 0.392, simulated 0.245 1/s``; empty where they are not known, or mean nothing beside their ratio."""
+    """``real 0.392, simulated 0.245 1/s``; empty if unknown, or if only their ratio is meaningful."""
     real, sim = p.value_real, p.value_sim
     if not unit or real is None or sim is None or not (math.isfinite(real) and math.isfinite(sim)):
         return ""
@@ -102,7 +103,7 @@ def _both(p: ParameterEstimate, unit: str) -> str:
 
 
 def _joined(parts: Iterable[str]) -> str:
-    """``a, b and c``. Raises KeyError where no parameter is there."""
+    """The parts as ``a, b and c``. Raises KeyError if there is none."""
     *most, last = list(parts) or [""]
     if not last:
         raise KeyError("no parameter")
@@ -133,7 +134,7 @@ def _inertia(p: _Params, effect: EffectEstimate) -> str:
 
 
 def _thrust(p: _Params, effect: EffectEstimate) -> str:
-    """The ratio, and which of thrust and mass differs; undecided below :data:`_DECIDED`."""
+    """The ratio, and whether thrust or mass differs; both below the probability :data:`_DECIDED`."""
     said = f"the real vehicle has {times(p['s'], 'the thrust for its mass')}"
     if not effect.forms:
         return said
@@ -328,4 +329,4 @@ _KINDS: Mapping[str, _Kind] = {
         _sides(("size", "size", "m/s"), ("t", "time", "s")),
     ),
 }
-"""Every effect of airframe and air. An empty unit: only the ratio means anything."""
+"""Every effect of airframe and air. An empty unit: only the ratio is meaningful."""

@@ -25,7 +25,7 @@ _COMMANDS = {
     "controls": "rebuilt from the logged controls",
     "table": "the columns motor_1 and on",
 }
-"""By source (:class:`calib.airframe.answer.Commands`)."""
+"""Words for each source of the commands (:class:`calib.airframe.answer.Commands`)."""
 
 
 def effects_of(report: GapReport, *domains: Domain) -> tuple[EffectEstimate, ...]:
@@ -34,13 +34,13 @@ def effects_of(report: GapReport, *domains: Domain) -> tuple[EffectEstimate, ...
 
 
 def groups(report: GapReport) -> Sequence[tuple[str, Sequence[EffectEstimate]]]:
-    """Effects by domain with a heading each: those of the airframe before those of sensors, the day's last."""
+    """Effects by domain, each with a heading: airframe, sensors, then the day's environment."""
     found = ((heading, effects_of(report, domain)) for domain, heading in _GROUPS.items())
     return [(heading, effects) for heading, effects in found if effects]
 
 
 def commands_sentence(commands: Commands) -> str:
-    """Whence the motors' commands come, how fast, and how good they are."""
+    """Sentence on the source, rate and quality of the motors' commands."""
     whence = _COMMANDS.get(commands.source, commands.source)
     said = f"Commands of the motors: {whence} at {commands.rate_hz:.4g} Hz"
     check = commands.check_us
@@ -51,7 +51,7 @@ def commands_sentence(commands: Commands) -> str:
 
 
 def geometry_sentence(geometry: Geometry) -> str:
-    """Which frame was taken, and whence."""
+    """Sentence on the frame used and its source."""
     whence = {
         "parameters": "as its parameters say",
         "user": "as stated with --frame",
@@ -67,7 +67,7 @@ def quantity_name(rollout: Rollout) -> str:
 
 
 def closed_words(rollout: Rollout) -> str:
-    """``94 % closed (91 to 96 %)``; in words where that says nothing, empty where there is no effect to close it."""
+    """``94 % closed (91 to 96 %)``; in words if the number is meaningless, empty without effects."""
     if not rollout.sequence and rollout.closed is None:
         return ""
     if rollout.closed is None or not math.isfinite(rollout.closed):
@@ -108,5 +108,5 @@ def predicted(rollout: Rollout) -> str:
 
 
 def part_name(rollout: Rollout) -> str:
-    """``doublets held out``; empty where it is blocks of the flight, as everywhere."""
+    """Held-out data in words, such as ``doublets held out``; empty for blocks of the flight, the usual case."""
     return "" if rollout.part == "blocks" else f"{rollout.part.replace('_', ' ')} held out"

@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 LEGEND = (("real", BEFORE), ("simulated", FLOOR), ("simulated with the effects", AFTER))
 """Names and colours of the traces, in the order in which they are drawn."""
 _WINDOW = 15.0
-"""s of a flight that are drawn. Chosen, not measured: a manoeuvre and the hover before it, at a width of 300 pixels."""
+"""Time, s, of a flight that is drawn. Chosen, not measured: a manoeuvre and the hover before it, at a width of 300
+pixels."""
 _POINTS = 300
 """Points of a line: more than the picture has pixels."""
 _LEAST = 16  # samples for a picture
 _WIDTH, _HEIGHT = 294, 190
 _LEFT, _BARS, _TALL, _TOP = 120.0, 122.0, 21.0, 42.0
-_LONGEST = 19
-"""Letters of a name beside its bar."""
+_NAME_LETTERS = 19
 
 
 def trace_plots(trace: AirframeTrace) -> list[Markup]:
-    """One chart an axis, over the seconds that the effects change most; none where there is nothing to draw."""
+    """One chart for each axis, over the seconds that the effects change most; none without data."""
     if len(trace.t) < _LEAST:
         return []
     rows = busiest(trace)
@@ -76,12 +76,12 @@ def binned(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def rollout_plots(rollouts: Sequence[Rollout]) -> list[Markup]:
-    """A waterfall for each horizon; none of those that are not finite."""
+    """A waterfall chart for each horizon with a finite, positive error."""
     return [rollout_plot(one) for one in rollouts if math.isfinite(one.before) and one.before > 0.0]
 
 
 def rollout_plot(rollout: Rollout) -> Markup:
-    """Error as it is, what each effect takes off it, what is left, and the floor: bars in the unit of the error."""
+    """Bars, in the unit of the error: error before, reduction by each effect, error after, and floor."""
     steps = list(_steps(rollout))
     top = max(max(begin, end) for _, begin, end, _ in steps)
     legend = ", ".join(filter(None, (closed_words(rollout), part_name(rollout))))
@@ -98,7 +98,7 @@ def rollout_plot(rollout: Rollout) -> Markup:
 
 
 def _steps(rollout: Rollout) -> Iterator[tuple[str, float, float, str]]:
-    """Name, where the bar begins and ends, and its colour: a step from its level to the next, others from zero."""
+    """Name, start, end and colour of each bar; a reduction extends from one level to the next, others from zero."""
     yield "simulator as it is", 0.0, rollout.before, BEFORE
     level = rollout.before
     for step in rollout.sequence:
@@ -111,4 +111,4 @@ def _steps(rollout: Rollout) -> Iterator[tuple[str, float, float, str]]:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+    return name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"

@@ -9,11 +9,12 @@ from mavcal.calib.gap.schema import ParameterEstimate
 _FINEST = 4
 """Most decimals of a number in a sentence. Chosen, not measured: finer than any of these effects is known."""
 _ROUND = 1e-3
-"""Powers of ten that a half interval may lie below one and count as it: ends that are added are not exact."""
+"""Tolerance, in powers of ten, with which a half interval just below a power of ten counts as that power, against
+rounding errors."""
 
 
 def ratio_of(p: ParameterEstimate) -> tuple[float, float, float]:
-    """Real by simulated and its 95 % interval, of a relative parameter."""
+    """Real over simulated with its 95 % interval, for a relative parameter."""
     if p.ratio is None:
         return 1.0 + p.value, 1.0 + p.ci95[0], 1.0 + p.ci95[1]
     low, high = p.ratio_ci95 or (math.nan, math.nan)
@@ -26,18 +27,18 @@ def after_number(unit: str) -> str:
 
 
 def _decimals(low: float, high: float, least: int = 0) -> int:
-    """As many as half the interval has a digit for."""
+    """Number of decimals up to the first digit of half the interval."""
     half = 0.5 * abs(high - low)
     return min(max(-math.floor(math.log10(half) + _ROUND), least), _FINEST) if 0.0 < half < math.inf else max(2, least)
 
 
 def rounded(value: float, low: float, high: float, *, least: int = 0) -> str:
-    """A number with the decimals that its interval leaves it, `least` of them at least."""
+    """A number with the decimals that its interval justifies, at least `least` of them."""
     return f"{value:.{_decimals(low, high, least)}f}"
 
 
 def range_of(low: float, high: float, *, least: int = 0) -> str:
-    """``1.54 to 1.66``; empty where a value was taken as it is."""
+    """``1.54 to 1.66``; empty for a value without an interval."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not determined by itself"
     decimals = _decimals(low, high, least)
@@ -45,7 +46,7 @@ def range_of(low: float, high: float, *, least: int = 0) -> str:
 
 
 def bracketed(low: float, high: float, *, least: int = 0) -> str:
-    """The interval to stand behind a number, in brackets."""
+    """The interval in brackets, to follow a number."""
     said = range_of(low, high, least=least)
     return f" ({said})" if said else ""
 

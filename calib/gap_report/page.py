@@ -1,4 +1,4 @@
-"""One self-contained page: no scripts, nothing from elsewhere; whatever came from a file is escaped."""
+"""One self-contained page without scripts or external files; text from recordings is escaped."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _Pictures:
     overlays: Sequence[Markup]
     vehicle: Markup
     traces: Sequence[Sequence[Markup]]
-    """One row a trace: force, torque."""
+    """A row of charts for each trace: force, then torque."""
     rollouts: Sequence[Markup]
 
 

@@ -38,7 +38,7 @@ def axis_of(series: SeriesFit, effect_id: str | None = None) -> int:
 
 
 def shape_plot(series: SeriesFit, effect_id: str) -> Markup:
-    """The residual that one effect explains, or a shape that none does, over what it follows, before and after."""
+    """Residual before and after one effect or unexplained shape, over the covariate that it follows."""
     part = series.parts.get(effect_id)
     if part is None or len(series.t) < _LEAST or not part.any():
         return Markup()
@@ -63,7 +63,7 @@ def shape_plot(series: SeriesFit, effect_id: str) -> Markup:
 
 
 def _follows(series: SeriesFit, part: Array) -> tuple[str, Array]:
-    """Name and values of what orders `part` best: a covariate, an axis of the ideal reading, or time."""
+    """Name and values of the variable that explains `part` best: a covariate, an axis of the ideal reading, or time."""
     units = {"temperature": "degC", "current": "A", "throttle": "0 to 1"}
     offered: list[tuple[str, Array]] = [
         (f"{name}, {units.get(name, '')}".rstrip(", "), values) for name, values in series.covariates.items()
@@ -108,7 +108,7 @@ def _binned(x: Array, y: Array) -> tuple[Array, Array, Array]:
 
 
 def spectrum_plot(series: SeriesFit) -> Markup:
-    """Density of the residual before and after, and the noise that the model ends with."""
+    """Density of the residual before and after, and the model's final noise."""
     if len(series.t) < _LEAST:
         return Markup()
     axis, fs = axis_of(series), _rate(series)
@@ -176,7 +176,7 @@ def allan(values: Array, fs: float) -> tuple[Array, Array]:
 
 
 def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> list[Markup]:
-    """A plot a sensor: residual over time in units of its noise before and after, and the conditions below it."""
+    """One plot for each sensor: residual over time in units of its noise, before and after, above the conditions."""
     drawn = []
     for fit in series:
         if len(fit.t) < _LEAST:

@@ -19,7 +19,7 @@ _LEAST_NATS = 1e-3  # of a sample: the faintest cell
 
 
 def where_map(findings: Sequence[LocatedGap]) -> Markup:
-    """Channels by regimes; the stronger the colour, the more nats a sample."""
+    """Map of channels by regimes; stronger colour means more nats per sample."""
     if not findings:
         return Markup()
     ranges: dict[str, tuple[float, float]] = {}
@@ -66,7 +66,7 @@ def _tooltip(f: LocatedGap) -> str:
 
 
 def waterfall(shrink: Shrink) -> Markup:
-    """Before, each effect's part, after, floor: in nats a sample."""
+    """Bars, in nats per sample: before, each effect's part, after, and floor."""
     gap = shrink.before - shrink.floor
     if not math.isfinite(gap) or gap <= 0.0:
         return Markup()

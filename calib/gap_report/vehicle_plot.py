@@ -21,20 +21,20 @@ _CENTRE = 158.0, 190.0
 _ARM = 98.0
 """Pixels of the longest arm: everything is drawn to this scale."""
 _LARGEST, _SHARE = 0.48, 0.44
-"""Radius of a rotor: at most so many arms, and so much of the distance to the next one. Chosen, not measured: discs
-that nearly touch, as on most vehicles."""
+"""Largest radius of a rotor, in arms and relative to the distance to the next one. Chosen, not measured: discs that
+nearly touch, as on most vehicles."""
 _SAME = 1e-3
 _COMPASS = 376.0, 78.0
 _ROSE = 36.0
 _NOTE = 284.0, 294.0
 
 _LEAST_WIND = 0.05
-"""m/s below which there is no arrow. Chosen, not measured: a tenth of what a flight shows."""
+"""Wind speed, m/s, below which no arrow is drawn. Chosen, not measured: a tenth of what a flight shows."""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A motor, or two one above the other: numbers from 1, where on the picture, and which way each turns."""
+    """A motor, or two coaxial ones: numbers from 1, position on the picture, and directions of rotation."""
 
     numbers: tuple[int, ...]
     x: float
@@ -43,7 +43,7 @@ class _Place:
 
 
 def vehicle_plot(part: AirframePart, effects: Sequence[EffectEstimate]) -> Markup:
-    """The vehicle with what `effects` say of it; empty where its geometry is not known."""
+    """The vehicle with its `effects`; empty where its geometry is not known."""
     if part.geometry is None:
         return Markup()
     weak = weak_motors(effects)
@@ -69,7 +69,7 @@ def weak_motors(effects: Sequence[EffectEstimate]) -> Mapping[int, float]:
 
 
 def centre_of_gravity(effects: Sequence[EffectEstimate]) -> tuple[float, float] | None:
-    """Shift of the centre of gravity forward and right of the simulated one, in arms; None: there is none."""
+    """Shift of the centre of gravity forward and right of the simulated one, in arms; None without a shift."""
     found = next((e for e in effects if e.id == "cg_offset"), None)
     if found is None:
         return None
@@ -83,7 +83,7 @@ def on_picture(forward: float, right: float) -> tuple[float, float]:
 
 
 def _places(geometry: Geometry) -> Iterator[_Place]:
-    """Motors that sit one above the other share a place."""
+    """Positions of the motors; coaxial motors share one."""
     left = list(enumerate(geometry.motors, start=1))
     while left:
         _, first = left[0]
@@ -103,7 +103,7 @@ def _line(x: float, y: float, to_x: float, to_y: float) -> Markup:
 
 
 def _hull() -> Markup:
-    """The body, with a mark before it that says where forward is."""
+    """The body, with a mark for forward."""
     x, y = _CENTRE
     return Markup(
         '<rect x="{:.1f}" y="{:.1f}" width="38" height="46" rx="9" style="fill:var(--page);stroke:var(--soft)"/>'
@@ -112,7 +112,7 @@ def _hull() -> Markup:
 
 
 def _rotor(place: _Place, radius: float, weak: Mapping[int, float]) -> Iterator[Markup]:
-    """The disc, filled where a motor is not as simulated, its number, and an arrow each way that a propeller turns."""
+    """The disc, filled if a motor differs from the simulated one, its number, and an arrow for each propeller."""
     sick = [n for n in place.numbers if n in weak]
     tooltip = " and ".join(
         f"motor {n}, turns {'counter-clockwise' if spin > 0 else 'clockwise'}"
@@ -142,7 +142,7 @@ def _number(x: float, y: float, words: str, colour: str) -> Markup:
 
 
 def _turning(x: float, y: float, r: float, spin: int, colour: str) -> Markup:
-    """Most of a circle with a head at its end; `spin` +1 turns counter-clockwise as seen from above."""
+    """Circular arrow; `spin` +1 is counter-clockwise as seen from above."""
     begin, end = (math.radians(a) for a in ((40.0, 320.0) if spin > 0 else (140.0, -140.0)))
     x0, y0, x1, y1 = x + r * math.cos(begin), y - r * math.sin(begin), x + r * math.cos(end), y - r * math.sin(end)
     arc = Markup('<path d="M{:.1f} {:.1f}A{:.1f} {:.1f} 0 1 {} {:.1f} {:.1f}" fill="none" style="stroke:{}"/>').format(
@@ -161,7 +161,7 @@ def _head(x: float, y: float, right: float, up: float, size: float, colour: str)
 
 
 def _arrow(x: float, y: float, to_x: float, to_y: float, colour: str, *, wide: float, head: float) -> Markup:
-    """An arrow whose head never is longer than itself."""
+    """An arrow whose head is never longer than the arrow."""
     long = math.hypot(to_x - x, to_y - y)
     if long <= 0.0:
         return Markup()
@@ -193,7 +193,7 @@ def _shift(forward: float, right: float) -> Iterator[Markup]:
 
 
 def _wind(north: float, east: float) -> Iterator[Markup]:
-    """A compass beside the vehicle, north up, with an arrow where the air moves to."""
+    """A compass beside the vehicle, north up, with an arrow in the direction of the wind."""
     x, y = _COMPASS
     speed, direction = wind_from(north, east)
     unit_north, unit_east = north / speed, east / speed

@@ -23,7 +23,7 @@ from mavcal.calib.gap_report.intervals import after_number
 _ENDLESS = 1e300
 NATS = "One nat a sample: a reading is 2.7 times less likely than noise alone would make it."
 _FINEST = 7
-"""Most decimals of a number beside its error."""
+"""Most decimals of a number with an error."""
 _SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
 _VERDICTS = {
     GapVerdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
@@ -42,7 +42,7 @@ _FLIGHTS = {
     GapVerdict.UNKNOWN: "The real flight differs from the simulated one, and no known effect explains it.",
     GapVerdict.REFERENCE: "What differs in the sensors is the reference's; the vehicle itself flies differently.",
 }
-"""Verdicts where the airframe was compared, as far as they say another thing then."""
+"""Verdicts whose wording changes if the airframe was compared."""
 _BOTH = (
     "The real vehicle flies differently from the simulated one and its sensors read differently; known effects explain "
     "the difference."
@@ -63,7 +63,7 @@ _UNFINISHED = {
 
 
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
-    """The answer in one or two sentences, the effects `listed` or not."""
+    """The answer in one or two sentences, with the effects if `listed`."""
     said = _useless(report) if report.inputs.useless else _verdict(report)
     if set(report.left_out) - {GapStage.BLOCKS.value}:
         said = _UNFINISHED.get(report.verdict, said)
@@ -120,7 +120,7 @@ def _verdict(report: GapReport) -> str:
 
 
 def _only_flight(report: GapReport) -> bool:
-    """Whether the flights were compared, which need no attitude from the reference, and no sensor was."""
+    """Whether only the flights were compared, which needs no reference attitude, and no sensor."""
     return report.inputs.useless and (_flown(report) or bool(_domains(report) - {Domain.SENSOR}))
 
 
@@ -160,7 +160,7 @@ def _useless(report: GapReport) -> str:
 
 
 def not_compared(report: GapReport) -> str:
-    """Which sensors the answer is not about, though they were recorded; empty: it is about all."""
+    """Sentence on recorded sensors that were not compared; empty: all were."""
     lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
     if not lost or report.verdict is GapVerdict.NOT_TESTABLE or report.inputs.useless:  # the verdict says it
         return ""
@@ -180,7 +180,7 @@ def effect_phrase(effect: EffectEstimate) -> str:
 
 
 def held_out(effect: EffectEstimate) -> str:
-    """Whether it was found again in data that were kept aside."""
+    """Whether the effect was confirmed in held-out data."""
     held = effect.gates.heldout_blocks
     return "not held out" if held is None else f"{'holds' if held else 'does not hold'} on held-out data"
 
@@ -201,7 +201,7 @@ def sensor_name(effect: EffectEstimate) -> str:
 
 
 def number(value: float | None) -> str:
-    """Four digits; what is not known or not finite in words."""
+    """A number with four digits; unknown or infinite ones in words."""
     if value is None or value != value:
         return "not known"
     return f"{value:.4g}" if abs(value) < _ENDLESS else "unbounded"
@@ -251,7 +251,7 @@ def closed_sentence(shrink: Shrink | None) -> str:
 
 
 def regime(found: LocatedGap) -> str:
-    """When it is: ``temperature 20..24 degC``."""
+    """Condition of a located gap: ``temperature 20..24 degC``."""
     if found.regime.kind == "all":
         return "whole recording"
     low, high = (0.0 if abs(edge) < 1e-9 else edge for edge in found.regime.bin)

@@ -1,1 +1,1 @@
-"""The gyroscope alone: at rest, on a turntable, on a thread, and its g-sensitivity."""
+"""Calibration of a gyroscope alone: at rest, on a turntable, hung on a thread, and its g-sensitivity."""

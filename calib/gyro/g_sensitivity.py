@@ -1,7 +1,7 @@
 """g-sensitivity of a gyroscope: ``rate = b + K a`` at rest in several poses (METHODS 3.5).
 
-The twelve numbers follow from the means of still poses by weighted least squares on ``[a 1]``. The Earth turns as well:
-about the vertical, so that part of it looks like an equal diagonal of K, and about the horizontal, which scatters.
+The twelve numbers follow from the means of still poses by weighted least squares on ``[a 1]``. The Earth's rate adds to
+the readings. Its vertical part looks like an equal diagonal of K; its horizontal part scatters.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ def fit_g_sensitivity(
     spans : shape (P, 2)
         The rests, s.
     gravity
-        In the unit of `accel`; K is per m/s2 all the same.
+        Gravity in the unit of `accel`; K is per m/s2 in any case.
     latitude
-        Degrees; takes the vertical part of the Earth's rate off. None: it stays in K and in the uncertainty.
+        Latitude in degrees, to subtract the vertical part of the Earth's rate. None: it stays in K and in the
+        uncertainty.
     drift
         Also fit an offset that moves steadily over time; six poses or more are needed.
     temperature, relative
@@ -99,7 +100,7 @@ def fit_g_sensitivity(
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """Least squares of every axis by itself: coefficients (p, 3), covariance (3, p, p), whitened residuals (P, 3)."""
+    """Least squares of each axis: coefficients (p, 3), covariance (3, p, p), whitened residuals (P, 3)."""
 
     coefficients: Array
     covariance: Array
@@ -121,7 +122,7 @@ class _Solved:
 
 
 def _fit(made: FitBuilder, poses: Poses, a: Array, latitude: float | None, *, drift: bool) -> FitResult:
-    """Weighted least squares of every axis by itself on ``[a/g, 1, time]``."""
+    """Weighted least squares of each axis on ``[a/g, 1, time]``."""
     middle = poses.spans.mean(axis=1)
     time = (middle - middle.mean()) / max(float(np.ptp(middle)), 1e-9)
     columns = [a / STANDARD_GRAVITY, np.ones((len(a), 1))] + ([time[:, None]] if drift else [])
@@ -186,7 +187,7 @@ def _warnings(p_value: float | None, *, earth_open: bool) -> Iterator[str]:
 
 
 def _sensitivity(coefficients: Array, covariance: Array, *, vertical_unknown: bool) -> tuple[Array, Array]:
-    """K (3, 3) per m/s2, row by row an axis of the gyroscope, and its standard deviations."""
+    """K (3, 3), rad/s per m/s2, one row for each axis of the gyroscope, and its standard deviations."""
     K = coefficients[:3].T / STANDARD_GRAVITY
     variance = np.einsum("akk->ak", covariance[:, :3, :3]) / STANDARD_GRAVITY**2
     if vertical_unknown:

@@ -13,15 +13,15 @@ from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.triad import TriadModel, drift_sd_deg_per_min
 
 PLAUSIBLE_BIAS = 0.1
-"""Rate at rest, rad/s (5.7 deg/s), above which a gyroscope alone is not believed to be at rest. Consumer gyroscopes are
-specified within +-5 deg/s (ICM-20602, ICM-42688, BMI088: +-1); a hand or a turntable turns faster."""
+"""Rate, rad/s (5.7 deg/s), above which a gyroscope alone does not count as at rest. Consumer gyroscopes are specified
+within +-5 deg/s (ICM-20602, ICM-42688, BMI088: +-1); a hand or a turntable turns faster."""
 LARGEST_BIAS = 0.35
-"""Rate, rad/s (20 deg/s: the zero-rate tolerance of the MPU-6000), that is believed where a compass stands still."""
+"""Largest rate at rest, rad/s (20 deg/s: the zero-rate tolerance of the MPU-6000), if a compass stands still."""
 METHOD = "gyro-rest"
 MOVEMENT = "put it down and leave it alone for five seconds"
 _LEAST_SAMPLES = 32
 _WANDER = 0.002
-"""Difference of the rate between the parts of a rest, rad/s (0.1 deg/s), below which no drift is a motion."""
+"""Change of rate within a rest, rad/s (0.1 deg/s), below which drift does not count as motion."""
 
 
 def fit_gyro_rest(
@@ -32,15 +32,15 @@ def fit_gyro_rest(
     temperature: float | None = None,
     relative: bool = False,
 ) -> FitResult:
-    """Offset of a gyroscope from samples at rest: their mean (METHODS S1), by the likelihood of coarse bins.
+    """Offset of a gyroscope from samples at rest: their mean (METHODS S1), by maximum likelihood where bins are coarse.
 
     Parameters
     ----------
     gyro : Channel
         Raw samples of one still span (or several, joined), rad/s or counts.
     accel, mag : Channel or None
-        The same time of the accelerometer and of a compass: they tell a steady turn from a bias. None: only the size
-        of the rate does. In counts nothing does, and the result says so.
+        Accelerometer and compass over the same time, which tell a steady turn from a bias. None: only the size of the
+        rate does. In counts nothing does, and the result says so.
     temperature : float or None
         Mean temperature of the sensor, degC.
     relative : bool
@@ -101,8 +101,8 @@ def fit_gyro_rest(
 def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None = None) -> str | None:
     """Why the constant rate of a still span is a turn and not a bias; None if it may be a bias.
 
-    Evidence of a turn is gravity that turns with the rate, or a compass that turns. A rate above :data:`PLAUSIBLE_BIAS`
-    is evidence too, or above :data:`LARGEST_BIAS` where a compass stands still.
+    Gravity that turns with the rate, or a compass that turns, is evidence of a turn. A rate above
+    :data:`PLAUSIBLE_BIAS` is evidence too, or above :data:`LARGEST_BIAS` where a compass stands still.
     """
     rate = mean_of(gyro).mean
     size = float(np.linalg.norm(rate))
@@ -123,7 +123,7 @@ def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None
 
 
 def _movement_reason(gyro: Channel, estimate: QuantisedMean) -> str | None:
-    """Why the samples are not one rest: four quarters whose means differ beyond their noise and beyond any drift."""
+    """Why the samples are not one rest: the means of the four quarters differ by more than noise and drift."""
     quarters = np.array_split(np.arange(len(gyro)), 4)
     for axis, name in enumerate(AXES):
         x = gyro.values[:, axis]
@@ -155,7 +155,7 @@ def _warnings(gyro: Channel, estimate: QuantisedMean) -> tuple[str, ...]:
 
 
 def _gravity_follows(rate: Array, accel: Channel) -> bool:
-    """Whether gravity moves through a span as a turn of `rate` would move it, ``da/dt = -w x a``."""
+    """Whether gravity moves through a span as with a turn at `rate`, ``da/dt = -w x a``."""
     accel = accel.take(finite_rows(accel.values))
     predicted = -np.cross(rate, accel.values.mean(axis=0))
     size = float(np.linalg.norm(predicted))
@@ -170,7 +170,7 @@ def _gravity_follows(rate: Array, accel: Channel) -> bool:
 
 
 def _compass_moves(mag: Channel) -> bool:
-    """Whether a compass scatters far more than from one sample to the next, and by half a microtesla or more."""
+    """Whether a compass scatters by half a microtesla or more, and far more than from sample to sample."""
     values = mag.values[finite_rows(mag.values)]
     if len(values) < 8:
         return False

@@ -1,8 +1,8 @@
-"""The gyroscope on a thread: whole turns each way, whose number is counted and whose rate need not be steady.
+"""The gyroscope hung on a thread: whole turns each way, counted; the rate need not be steady.
 
-``I+ = 2 pi n/k + b T+`` and ``I- = -2 pi n/k + b T-`` are the integrals of what it reads (METHODS S3). Hence ``b = (I+
-+ I-)/(T+ + T-)`` and ``k = 2 pi n/(I+ - b T+)``. A compass counts the turns: whatever iron distorts its circle, after a
-whole turn it reads the same.
+``I+ = 2 pi n/k + b T+`` and ``I- = -2 pi n/k + b T-`` are the integrals of its reading (METHODS S3). Hence ``b = (I+ +
+I-)/(T+ + T-)`` and ``k = 2 pi n/(I+ - b T+)``. A compass counts the turns: it reads the same after a whole turn,
+however iron distorts its circle.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def thread_scale(turns: float, plus: float, plus_time: float, minus: float, minu
     plus, minus
         Integral of the reading over the turns one way and over those the other way.
     plus_time, minus_time
-        How long they took, s.
+        Duration of these turns, s.
 
     Raises
     ------
@@ -80,11 +80,11 @@ def fit_thread(
     turns
         Turns each way, counted by eye from rest to rest; None: `mag` counts whole ones.
     mag
-        A compass that turns with it; it also finds where a turn is whole.
+        A compass that turns with the gyroscope; it also shows where a turn is complete.
     segments
-        The spans of the turns. None given: found, from rest to rest.
+        The spans of the turns; if none are given, they are found, from rest to rest.
     angle_sd
-        How far from whole the stated turns may be, rad, one sd.
+        Error of the stated turns, rad, one sd.
     temperature, relative
         Passed on to the result.
 
@@ -140,7 +140,7 @@ def fit_thread(
 
 
 def turning_spans(gyro: Channel) -> Array:
-    """Spans (S, 2) in which `gyro` turns one way about its busiest axis, from rest to rest."""
+    """Spans (S, 2) of turns in one direction about the axis of largest rate, from rest to rest."""
     if len(gyro) < 16 or not gyro.t[-1] - gyro.t[0] > _SHORTEST:
         return np.zeros((0, 2))
     starts = occupied_starts(gyro.t, gyro.t[0], gyro.t[-1], _WINDOW)
@@ -183,7 +183,7 @@ class _Counted:
 
 @dataclass(frozen=True, eq=False)
 class _Integral:
-    """The running integral of a channel, each sample ruling the time that is nearest to it."""
+    """The running integral of a channel; each sample holds for the time nearest to it."""
 
     edges: Array
     sums: Array
@@ -212,7 +212,7 @@ def _stated(integral: _Integral, axis: int, span: Array, turns: float) -> _Count
 
 
 def _counted(integral: _Integral, axis: int, span: Array, mag: Channel) -> _Counted | None:
-    """Whole turns between instants at which the compass reads the same; None if it does not go round."""
+    """Whole turns between instants at which the compass reads the same; None if there is no whole turn."""
     part = mag.between(*span)
     across = [k for k in range(3) if k != axis]
     if len(part) < 16 or np.diff(part.t).max() > _HOLE * float(np.median(np.diff(mag.t))):
@@ -262,7 +262,7 @@ def _turn(label: str, axis: int, counted: _Counted, gyro: Channel, span: Array, 
 
 
 def _native(axis: int, found: Sequence[Turn]) -> dict[str, object]:
-    """The published pair: offset and scale of the first turn one way with the first the other way."""
+    """Offset and scale from the first turn each way, as published."""
     plus = next((t for t in found if t.rate[axis] > 0.0), None)
     minus = next((t for t in found if t.rate[axis] < 0.0), None)
     if plus is None or minus is None:

@@ -1,7 +1,7 @@
-"""A gyroscope from turns whose rate is known: ``mean = M rate + b``, the columns of M by the axes that were turned.
+"""Calibration from turns of known rate: ``mean = M rate + b``, with the columns of M for the axes turned about.
 
 For two turns about one axis at rates +-W this is ``M e = (m+ - m-)/(2 W)`` and ``b = (m+ + m-)/2`` (METHODS S3). Whole
-turns on a thread are the same with rates that differ. More turns than unknowns are weighed by their noise.
+turns on a thread are the same with different rates. If there are more turns than unknowns, their noise weights them.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _STRANGE = 2.0  # a scale farther from one than this factor: the rate that was s
 
 
 def usable(channel: Channel) -> Channel:
-    """The finite samples of `channel` that are no lone spikes, with the quantum that they show.
+    """The finite samples of `channel` without lone spikes, with the quantum found from them.
 
     Raises
     ------
     InvalidInputError
-        If time goes back, the columns are not three, or a number is beyond all measure.
+        If time goes back, the columns are not three, or a number is absurdly large.
     """
     channel.require_ordered()
     channel = channel.take(finite_rows(channel.values))
@@ -51,7 +51,7 @@ def usable(channel: Channel) -> Channel:
 class Turn:
     """One turn (or rest): its true rate (3,) rad/s, the gyroscope's mean (3,) and the covariance (3, 3) of that.
 
-    `rate_sd` is what the true rate is uncertain by, rad/s; `duration` in s; `n` the samples.
+    `rate_sd` is the uncertainty of the true rate, rad/s; `duration` in s; `n` the samples.
     """
 
     label: str
@@ -75,14 +75,14 @@ def fit_turns(
     temperature: float | None = None,
     relative: bool = False,
 ) -> FitResult:
-    """Offset and the columns of the matrix about whose axes the turns went.
+    """Offset, and the columns of the matrix for the axes turned about.
 
     Parameters
     ----------
     method, movement
-        Name of the method, and what is to be done where turns are missing.
+        Name of the method, and what to do if turns are missing.
     gyro
-        The channel that the turns are of; its unit is the result's.
+        The channel with the turns; the result has its unit.
     turns
         Turns at a known rate; an axis needs two different rates.
     earth_known
@@ -144,7 +144,7 @@ def _solve(design: Array, turns: Sequence[Turn], fastest: float) -> _Solved:
 
 
 def _sensitivity(columns: Array, axes: Sequence[int], unit: str) -> Array:
-    """M (3, 3) with the columns that are known; the others as of a perfect sensor of the same scale."""
+    """M (3, 3) with the known columns; the others are those of a perfect sensor of the same scale."""
     usual = 1.0 if unit == "rad/s" else float(np.linalg.norm(columns, axis=1).mean())
     matrix = usual * np.eye(3)
     matrix[:, axes] = columns.T
@@ -153,7 +153,7 @@ def _sensitivity(columns: Array, axes: Sequence[int], unit: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The solution with what it was found from: the sensitivity (3, 3) about `axes`, rates over the fastest one."""
+    """The solution and its inputs: the sensitivity (3, 3) about `axes`, and rates as fractions of the fastest."""
 
     turns: Sequence[Turn]
     axes: Sequence[int]

@@ -42,13 +42,13 @@ def fit_turntable(
     gyro
         Samples, rad/s or counts.
     rate_true
-        Rate of every turn, rad/s, whose direction follows from the samples; or for every label of `segments` its signed
-        rate, zero for a rest.
+        Rate of every turn, rad/s; the samples tell its direction. Or the signed rate for every label of `segments`,
+        zero for a rest.
     segments
-        The turns. A label with a lone x, y or z names the axis; else the axis that reads most. None given: steady turns
-        are found.
+        The turns. A lone x, y or z in a label names the axis; otherwise it is the axis of the largest reading. If none
+        are given, steady turns are found.
     accel
-        Tells where up is, for the Earth's rate; None: it stays in the offset.
+        Accelerometer, which tells the vertical for the Earth's rate; None: the Earth's rate stays in the offset.
     rate_sd
         Uncertainty of the true rate, rad/s, one sd.
     latitude
@@ -90,7 +90,7 @@ def fit_turntable(
 
 
 def steady_spans(gyro: Channel) -> Array:
-    """Spans (S, 2) of two seconds or more in which `gyro` turns at a constant rate, a quarter second off their ends."""
+    """Spans (S, 2) of two seconds or more at a constant rate, with a quarter second cut off at each end."""
     if len(gyro) < _LEAST or not gyro.t[-1] - gyro.t[0] > _SHORTEST:
         return np.zeros((0, 2))
     starts = occupied_starts(gyro.t, gyro.t[0], gyro.t[-1], _WINDOW)
@@ -132,7 +132,7 @@ def _steady_part(part: Channel, *, trim: bool) -> Channel:
 
 
 def _true_rate(label: str, part: Channel, rate_true: float | Mapping[str, float]) -> Array | None:
-    """The rate (3,) that was turned; None where nothing is stated."""
+    """True rate (3,) of a turn about the axis its label names; None if none is stated."""
     mean = part.values.mean(axis=0) if len(part) else np.zeros(3)
     named = _AXIS.search(label)
     axis = AXES.index((named[1] or named[2]).lower()) if named else int(np.argmax(np.abs(mean)))

@@ -27,17 +27,17 @@ _MOUNTING: Final = "Check how the compass is mounted and its rotation parameter,
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
 _LEAST: Final = 50
-"""Fewest samples of a statement on steadiness."""
+"""Least number of samples to judge steadiness."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
-"""A that a current, and 1 that a throttle must range over to tell of their field."""
+"""Least range of the current, A, and of the throttle, 0..1, that shows their field."""
 _RELATED: Final = 0.5
-"""Correlation from which the field follows the motors."""
+"""Least correlation at which the field counts as driven by the motors."""
 _YEAR: Final = 2025.5
-"""Where the log says no date: the field's strength changes by a thousandth a year."""
+"""Decimal year where the log has no date: the field's strength changes by a thousandth a year."""
 
 
 def compass_findings(recording: Recording, support: Support | None = None) -> Iterator[HealthFinding]:
-    """Every check of every compass; `support` is what speaks against the logged attitude, None: look for it here."""
+    """Every check of every compass; `support` contradicts the logged attitude; None: it is computed here."""
     yield from _corrupt(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
@@ -66,7 +66,7 @@ def compass_findings(recording: Recording, support: Support | None = None) -> It
 
 
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
-    """Compasses whose parameters are no numbers."""
+    """Compasses whose parameters are not numbers."""
     corrupt: dict[int, list[str]] = {}
     for name, value in sorted(recording.parameters.final().items()):
         if name.startswith(_OWN) and not math.isfinite(value):
@@ -99,9 +99,9 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
 
 
 def _driven(recording: Recording, channel: Channel, attitude: Channel | None) -> HealthFinding | None:
-    """Dependence of the field's strength or vertical part on current or throttle; None: neither of these moved.
+    """Dependence of the field's strength or vertical component on current or throttle; None: neither of these moved.
 
-    Both are looked at because neither depends on the heading, which a bad compass spoils in the attitude as well.
+    Neither strength nor vertical component depends on the heading, which a bad compass corrupts in the attitude too.
     """
     parts = [("strength", _length(channel))]
     down = None if attitude is None else _down(channel, attitude)
@@ -180,7 +180,7 @@ def _against_earth(
 
 
 def _anywhere(recording: Recording, channel: Channel) -> HealthFinding:
-    """The strength against what the Earth has anywhere; of the dip nothing is known without a latitude."""
+    """The strength against the range of the Earth's field; without a latitude the dip cannot be judged."""
     measured = float(np.median(_length(channel)))
     off = beyond_earth(measured)
     verdict = judged_value(off, 0.0, limits.FIELD)
@@ -213,7 +213,7 @@ def _down(channel: Channel, attitude: Channel) -> Array | None:
 
 
 def _between_compasses(found: dict[int, Channel]) -> Iterator[HealthFinding]:
-    """Angle between the fields of two compasses; of three the one that is off both is named."""
+    """Angle between the fields of two compasses; of three, the one that disagrees with both is named."""
     angles = _angles(found)
     for instance, channel in found.items():
         own = {pair: angle for pair, angle in angles.items() if instance in pair}
@@ -222,7 +222,7 @@ def _between_compasses(found: dict[int, Channel]) -> Iterator[HealthFinding]:
 
 
 def _outlier(channel: Channel, angles: Mapping[tuple[int, int], float]) -> HealthFinding | None:
-    """A compass that is off all others, which agree much better; None: fewer than two others, or it is not."""
+    """Finding on a compass that disagrees with all others; None: it does not, or fewer than two others agree."""
     own = [angle for pair, angle in angles.items() if channel.instance in pair]
     among = [angle for pair, angle in angles.items() if channel.instance not in pair]
     if len(own) < 2 or not among or max(among) > limits.FIELD_ALONE.suspicious / 3.0:
@@ -250,7 +250,7 @@ def _angles(found: Mapping[int, Channel]) -> dict[tuple[int, int], float]:
 
 
 def _from_furthest(channel: Channel, own: Mapping[tuple[int, int], float], count: int) -> HealthFinding:
-    """A compass beside the one of `count` that it is furthest from; `own` are its angles, deg."""
+    """Finding on one of `count` compasses against the one that differs most; `own` are its angles, deg."""
     pair, angle = max(own.items(), key=lambda two: two[1])
     agrees = sum(a <= limits.FIELDS_APART.suspicious for a in own.values())
     verdict = judged_value(angle, 0.0, limits.FIELDS_APART)

@@ -1,6 +1,6 @@
 """Sensors without data: zero, constant, rejected throughout, or announced but never received.
 
-They are judged first and left out of every other check: what a dead sensor reads speaks against no other one.
+They are judged first and left out of every other check: the readings of a dead sensor are no evidence against others.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from mavcal.calib.stats.windows import finite_rows
 
 SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 _LEAST: Final = 50
-"""Fewest samples of a statement that a sensor is constant."""
+"""Least number of samples to call a sensor constant."""
 _ZEROS: Final = 0.1
-"""Share of samples at 0, 0, 0 that is no start-up."""
+"""Fraction of samples at 0, 0, 0 above which it is more than a start-up."""
 _FLOWN_S: Final = 10.0
 _TURNED: Final = 1.0
-"""m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
+"""Change of an accelerometer axis, m/s2, when the vehicle is turned by 6 deg."""
 _MULTIPLE: Final = frozenset({"vehicle_imu"})
-"""Topics of PX4 that are logged of every unit in every version that has them."""
+"""PX4 topics that every version with them logs for every unit."""
 _WIRING: Final = "Check its wiring and its driver; replace it."
 _ABSENT: Final = "Look at its wiring and its driver. If it was removed, switch it off in the parameters."
 _ROW: Final = "If it is installed, look at its wiring and its driver. If not, set the id in its row to 0."
@@ -114,7 +114,7 @@ def _constant(recording: Recording) -> dict[Key, HealthFinding]:
 
 
 def _same_throughout(recording: Recording, channel: Channel, *, coarse: bool) -> HealthFinding:
-    """One value throughout, which a sensor at rest may read where its numbers are coarse; a compass also without."""
+    """Finding on a constant sensor; at rest, coarse values may repeat, and a compass may repeat any value."""
     key = channel.sensor, channel.instance
     listed = ", ".join(f"{value:.4g}" for value in channel.values[finite_rows(channel.values)][0])
     text = f"reads the same throughout ({listed} {channel.unit})"
@@ -157,7 +157,7 @@ def _distrusted(recording: Recording) -> dict[Key, HealthFinding]:
 
 
 def _silent(recording: Recording, dead: set[Key]) -> Iterator[HealthFinding]:
-    """Sensors that the parameters announce and use, and that have no sample although others of their kind do."""
+    """Sensors that the parameters announce and use, without a sample although others of their kind have some."""
     if telemetry(recording):  # which messages come is the ground station's choice
         return
     for key, one in _installed(recording).items():
@@ -173,7 +173,7 @@ def _silent(recording: Recording, dead: set[Key]) -> Iterator[HealthFinding]:
 
 
 def _logs_every_unit(recording: Recording, sensor: Sensor) -> bool:
-    """Whether the log would hold another unit of that kind if it delivered anything."""
+    """Whether the log would contain another unit of that kind if it delivered anything."""
     heard = recording.instances(sensor)
     if recording.identity.autopilot == "ardupilot":
         return bool(heard) or any(_is_dead(event, sensor) for event in recording.events)

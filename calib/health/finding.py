@@ -14,7 +14,7 @@ NAMES = {Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyroscope", Sensor.MAG: "c
 
 
 class HealthVerdict(StrEnum):
-    """How a sensor is."""
+    """Condition of a sensor."""
 
     OK = "ok"
     CANNOT_SAY = "cannot_say"
@@ -28,7 +28,7 @@ SUPPORTING = frozenset(
 )
 """Checks that can show a fault but cannot show that a sensor reads right."""
 _WORSE = (HealthVerdict.CANNOT_SAY, HealthVerdict.OK, HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY)
-"""A sensor is as bad as its worst finding; checks that could not be made count only where no other was."""
+"""Order of the verdicts: the worst finding decides; checks that could not be made count only without any other."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class SensorHealth:
 
     @property
     def good(self) -> tuple[HealthFinding, ...]:
-        """Every other check, those that could not be made included."""
+        """All other checks, including those that could not be made."""
         return tuple(f for f in self.findings if f.verdict not in BAD)
 
     @property
@@ -123,7 +123,7 @@ def worst(verdicts: Iterable[HealthVerdict]) -> HealthVerdict:
 
 
 def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFinding]) -> SensorHealth:
-    """The findings of that sensor among `findings`, the worst first; then those that say of its readings."""
+    """Health of that sensor from its `findings`: the worst first, then those about its readings."""
     own = [f for f in findings if (f.sensor, f.instance) == (sensor, instance)]
     found = SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
     if found.verdict != HealthVerdict.CANNOT_SAY:
@@ -132,12 +132,12 @@ def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFindin
 
 
 def shown_sd(sd: float) -> str:
-    """A standard deviation with two decimals, a smaller one as 0.01: never 0.00."""
+    """A standard deviation with two decimals, at least 0.01."""
     return f"{max(sd, 0.01):.2f}"
 
 
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
-    """Finding from a `value` of which larger is worse, beyond two standard errors.
+    """Verdict on a `value`, of which larger is worse, beyond two standard errors.
 
     Where these would hide a faulty sensor (without such a limit: one that is off by twice the suspicious) nothing can
     be said.

@@ -25,28 +25,28 @@ from mavcal.calib.stats.still_limits import RESTING, StillnessLimits
 from mavcal.calib.stats.stillness import Still, find_still
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
-"""Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
+"""Limits of stillness with any gyroscope offset: a sensor 100 deg/s off must not hide that nothing moved."""
 _ENOUGH_HZ: Final = 100.0
 _LEAST_OF_WINDOW: Final = 6.0
-"""Samples of a window in which stillness is judged."""
+"""Least number of samples in a window in which stillness is judged."""
 _SLOWEST_WINDOW_S: Final = 5.0
-"""Longest window in which stillness is judged: it hides a faster movement."""
+"""Longest window, s, in which stillness is judged: a longer one hides faster movement."""
 _MOSTLY: Final = 0.5
-"""Share of the samples: a vehicle motionless for so much of a log lay on the ground and needs no attitude."""
+"""Fraction of the samples: a vehicle motionless for more of a log lay on the ground and needs no attitude."""
 _SPAN_S: Final = 5.0
-"""Shortest span whose mean is compared."""
+"""Shortest span, s, whose mean is compared."""
 _DRIFT_S: Final = 60.0
-"""Motionless seconds that tell of a drift."""
+"""Least motionless time, s, that shows a drift."""
 _FLOOR_FORCE: Final = 0.02
-"""m/s2 that an attitude wrong by 4 deg costs along the vertical."""
+"""Error of the vertical force, m/s2, from an attitude error of 4 deg."""
 _FLOOR_LENGTH: Final = 0.1
-"""m/s2 by which the length of a mean force in flight is more or less than gravity."""
+"""Difference, m/s2, of the length of a mean force in flight from gravity."""
 _BEYOND: Final = "beyond the turn of the attitude"
 _LEVEL: Final = "beyond the tilting of the attitude"
 _ACROSS: Final = "while the direction of the force stood still"
 _NO_JUDGE: Final = ". The logged attitude is no judge: "
 _CLEARLY: Final = 2.0
-"""Times as far off as the other of two units that differ."""
+"""Ratio of the errors of two units above which the first is clearly worse."""
 _TOO_LITTLE: Final = "too few samples beside an attitude, and no motionless second"
 _LOG_MORE: Final = "Log the attitude and faster samples, or a rest."
 _APART: Final = {Sensor.ACCEL: limits.FORCES_APART, Sensor.GYRO: limits.RATES_APART}
@@ -70,7 +70,7 @@ def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
 
 
 def _for_rate(watched: Sequence[Channel]) -> StillnessLimits:
-    """`_LAID` with windows that hold samples enough where the stream is slow, as telemetry is."""
+    """`_LAID` with longer windows for a slow stream such as telemetry, so that each has enough samples."""
     periods = [float(np.median(np.diff(c.t))) for c in watched if len(c) > 1]
     window = max((_LEAST_OF_WINDOW * period for period in periods), default=0.0)
     if not _LAID.window < window <= _SLOWEST_WINDOW_S:
@@ -79,7 +79,7 @@ def _for_rate(watched: Sequence[Channel]) -> StillnessLimits:
 
 
 def _thinned(channel: Channel) -> Channel:
-    """At most `_ENOUGH_HZ`: more samples than that make a stillness no surer."""
+    """`channel` thinned to at most `_ENOUGH_HZ`: a higher rate does not make stillness more certain."""
     period = float(np.median(np.diff(channel.t))) if len(channel) > 1 else 0.0
     every = int(1.0 / (_ENOUGH_HZ * period)) if period > 0.0 else 1
     return channel.take(slice(None, None, every)) if every > 1 else channel
@@ -90,7 +90,7 @@ def inertial_findings(
 ) -> Iterator[HealthFinding]:
     """Readings of every accelerometer and gyroscope; `off` are the spans with the motors off.
 
-    `support` is what speaks against the logged attitude; None: what `recording` says of it.
+    `support` contradicts the logged attitude; None: it is computed from `recording`.
     """
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     support = support_of(recording, attitude) if support is None else support
@@ -121,12 +121,12 @@ def inertial_findings(
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
-    """The parts that lie wholly in one of `spans`."""
+    """The still spans that lie entirely within one of `spans`."""
     return tuple(s for s in laid if any(span.start <= s.start and s.end <= span.end for span in spans))
 
 
 def _still_means(channel: Channel, laid: Sequence[Still]) -> motion.WindowMeans:
-    """One mean a motionless span."""
+    """One mean for each motionless span."""
     parts = [usable(channel.between(span.start, span.end)) for span in laid]
     kept = [part for part in parts if len(part) > 3]
     if not kept:
@@ -217,9 +217,9 @@ def _accel_of_unit(recording: Recording, instance: int) -> Channel | None:
 def _rate(
     channel: Channel, reference: _MotionReference, laid: Sequence[Still], rested: Sequence[Still]
 ) -> HealthFinding:
-    """Mean rate at rest, or the rate beyond that of a reference: whichever is known better.
+    """Mean rate at rest, or the excess over a reference's rate, whichever has the smaller error.
 
-    `laid` are motionless spans, a calm hover that turns slowly among them, `rested` those with the motors off.
+    `laid` are motionless spans, which may include a calm, slowly turning hover; `rested` are those with the motors off.
     """
     still = [s for s in rested if s.duration >= _SPAN_S] or (laid if _lay(channel, laid) else ())
     windows, how = _still_means(channel, still), "at rest" if still and still is not laid else "while motionless"
@@ -246,7 +246,7 @@ def _rate(
 
 
 def _moving(channel: Channel, reference: _MotionReference, laid: Sequence[Still]) -> tuple[motion.WindowMeans, str]:
-    """The rate beyond what the best witness of a movement saw, and who that is; no window: there is none."""
+    """Excess of the rate over the best reference of a movement, and which that is; no window: there is none."""
     if reference.attitude is None:
         return motion.no_windows(3), ""
     if reference.support.tilt:
@@ -259,7 +259,7 @@ def _moving(channel: Channel, reference: _MotionReference, laid: Sequence[Still]
 
 
 def _heading_open(channel: Channel, reference: _MotionReference) -> tuple[HealthVerdict, str]:
-    """Findings about the vertical alone, where nothing supports the heading of the attitude."""
+    """Verdict and text about the vertical axis alone, where nothing confirms the heading of the attitude."""
     assert reference.attitude is not None
     turn = motion.rate_error(channel, reference.attitude, motion.RatePart.VERTICAL)
     rate, sd = float(np.linalg.norm(turn.median)), float(np.linalg.norm(turn.sd))
@@ -273,7 +273,7 @@ def _heading_open(channel: Channel, reference: _MotionReference) -> tuple[Health
 
 
 def _doubted(one: HealthFinding, others: Sequence[int]) -> HealthFinding:
-    """An offset that only the attitude shows, of a gyroscope with which `others` agree."""
+    """Finding on an offset that only the attitude shows; suspicious at most where `others` agree with the gyroscope."""
     if one.verdict not in BAD or not others or _BEYOND not in one.text:
         return one
     listed = " and ".join(str(other + 1) for other in others)
@@ -288,7 +288,7 @@ def _doubted(one: HealthFinding, others: Sequence[int]) -> HealthFinding:
 def _against_others(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
     """Findings on every unit alone, and on every unit against the others.
 
-    Which of two is off is told by what each shows alone, or by a third.
+    The own check of each unit, or a third unit, decides which of two is wrong.
     """
     apart: dict[tuple[int, int], tuple[float, float, HealthVerdict]] = {}
     for a, b in combinations(found, 2):
@@ -306,7 +306,7 @@ def _against_others(found: Mapping[int, Channel], own: Mapping[int, HealthFindin
 def _of_pairs(
     channel: Channel, pairs: Mapping[int, tuple[float, float, HealthVerdict]], own: Mapping[int, HealthFinding]
 ) -> HealthFinding:
-    """One unit against the others, `pairs` by the other's instance."""
+    """Finding on one unit against the others; `pairs` are keyed by the other's instance."""
     limit, instance = _APART[channel.sensor], channel.instance
     agreeing = [other for other, (_, _, verdict) in pairs.items() if verdict == HealthVerdict.OK]
     if agreeing:
@@ -333,7 +333,7 @@ def _of_pairs(
 
 
 def _clearly(one: HealthFinding, other: HealthFinding) -> bool:
-    """Whether what the first shows alone is clearly more than what the other does."""
+    """Whether the error of `one` clearly exceeds that of `other`, which is in order."""
     if one.value is None or other.value is None or other.verdict != HealthVerdict.OK:
         return False
     return one.value > _CLEARLY * other.value + 2.0 * float(np.hypot(one.sd or 0.0, other.sd or 0.0))

@@ -1,4 +1,4 @@
-"""Limits of the health checks, each with its source; those that :mod:`calib.flight` shares stand there."""
+"""Limits of the health checks, each with its source; those shared with :mod:`calib.flight` are defined there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mavcal.calib.flight.item import FlightLimit, worded_bounds
 class HealthLimit:
     """Limits beyond which a number is suspicious, and the sensor faulty; `source` says whose limits.
 
-    `faulty` is None where such a number alone calls no sensor faulty.
+    `faulty` is None where the number alone cannot call a sensor faulty.
     """
 
     suspicious: float
@@ -25,12 +25,12 @@ class HealthLimit:
 
     @property
     def worded(self) -> str:
-        """The numbers as a person reads them: shares in percent, rates in deg/s."""
+        """The limits in display units: fractions in percent, rates in deg/s."""
         return worded_bounds(self.suspicious, self.faulty, self.unit)
 
     @classmethod
     def of(cls, limit: FlightLimit) -> HealthLimit:
-        """The limit of a check that the sanity of a flight makes as well."""
+        """Health limit from the limit of a flight check."""
         return cls(limit.warn, limit.fail, limit.unit, limit.source)
 
 

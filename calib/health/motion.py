@@ -1,10 +1,9 @@
 """Checks inertial sensors in flight, without a rest: the force along the vertical, and the rates against the attitude.
 
-Over ten seconds the mean vertical force is gravity but for the change of the climb rate. The integral of a gyroscope is
-the turn of the attitude. Medians over such windows forget take-off, impacts and lost attitudes.
-
-A vehicle whose specific force keeps its direction and the length of gravity for seconds does not turn over meanwhile.
-The mean rate across that direction is then the gyroscope's offset; about it the vehicle may turn freely.
+Over ten seconds the mean vertical force is gravity, apart from the change of the climb rate. The integral of a
+gyroscope is the turn of the attitude. Medians over such windows suppress take-off, impacts and lost attitudes. While
+the specific force keeps its direction and the length of gravity for seconds, the vehicle does not tilt. The mean rate
+perpendicular to the force is then the gyroscope's offset; about the force the vehicle may turn freely.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from mavcal.calib.stats.stillness import Still
 WINDOW_S: Final = 10.0
 LEAST_WINDOWS: Final = 3
 LONGEST_STEP_S: Final = 0.5
-"""Longer between two attitudes is a gap."""
+"""Longest step between two attitudes, s; a longer one is a gap."""
 _FULL: Final = 0.8  # of a window that must be covered
 _MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median from the median deviation
 _LONG_S: Final = 2.0
-"""Shortest calm stretch whose mean is taken."""
+"""Shortest calm span, s, whose mean is used."""
 _ENOUGH_S: Final = 5.0
-"""Calm seconds in all that tell of an offset."""
+"""Least total calm time, s, that shows an offset."""
 _LIGHT, _HEAVY = 0.8, 1.15
-"""Parts of gravity: between them the force is gravity, by a sensor that is off; in a banked turn it is more."""
+"""Fractions of g between which a force counts as gravity, sensor error included; a banked turn exceeds them."""
 _MOST: Final = 0.5  # of the stretches that must be such
 _APART: Final = float(np.cos(np.radians(20.0)))
-"""Cosine of the angle within which the mean forces of all windows lie where a vehicle stays upright."""
+"""Cosine of the largest angle of a window's mean force from the median while the vehicle stays upright."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +47,12 @@ class WindowMeans:
 
     @property
     def enough(self) -> bool:
-        """Whether a median says something."""
+        """Whether there are enough windows for a median."""
         return len(self.t) >= LEAST_WINDOWS
 
     @property
     def median(self) -> Array:
-        """Over the windows, (k,)."""
+        """Median over the windows, (k,)."""
         return np.asarray(np.median(self.values, axis=0), dtype=np.float64)
 
     @property
@@ -64,7 +63,7 @@ class WindowMeans:
 
 
 def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
-    """Specific force along the vertical, m/s2: 9.8 of a good sensor, up to the change of the climb rate."""
+    """Specific force along the vertical, m/s2: 9.8 for a good sensor, apart from the change of the climb rate."""
     f, q = usable(accel), usable(attitude)
     if len(f) < 2 or len(q) < 2:
         return no_windows(1)
@@ -113,7 +112,7 @@ def difference(first: Channel, second: Channel) -> WindowMeans:
 
 
 def no_windows(columns: int) -> WindowMeans:
-    """Empty array of windows, each of so many numbers."""
+    """No windows, of that many columns."""
     return WindowMeans(np.zeros(0), np.zeros((0, columns)))
 
 
@@ -126,7 +125,7 @@ def _steps_around(t: Array, at: Array) -> Array:
 
 
 def window_means(t: Array, values: Array, weight: Array | None = None) -> WindowMeans:
-    """Means over the windows that are covered; a sample stands for the time since the one before."""
+    """Means over the covered windows; each sample is weighted by the time since the previous one."""
     if len(t) < 2:
         return no_windows(values.shape[1])
     step = np.diff(t, prepend=t[0]) if weight is None else weight
@@ -144,7 +143,7 @@ def window_means(t: Array, values: Array, weight: Array | None = None) -> Window
 def rates_across(gyro: Channel, accel: Channel, laid: Sequence[Still]) -> WindowMeans:
     """Mean rate across the force in each calm stretch of `laid`, else in each window of ten seconds, rad/s.
 
-    Without a row where the unit shows no stretch in which nothing turned over.
+    Empty if the vehicle tilted in too many of these spans.
     """
     long = [span for span in laid if span.duration >= _LONG_S]
     calm = sum(span.duration for span in long) >= _ENOUGH_S

@@ -34,12 +34,12 @@ def health_page(report: HealthReport, recording: Recording, *, title: str) -> st
 
 
 def _typeset(text: str) -> str:
-    """The signs that a terminal may lack."""
+    """`text` with typographic characters that a terminal may lack."""
     return text.replace("+-", "\u00b1").replace("m/s2", "m/s\u00b2").replace("uT", "\u00b5T")
 
 
 def _begin(recording: Recording) -> float:
-    """The vehicle's time at which the series begin, which the findings speak in."""
+    """Vehicle time at the start of the series; findings state their times on that clock."""
     return min((float(c.t[0]) for c in recording.channels if c.sensor in SHOWN and len(c)), default=0.0)
 
 

@@ -36,7 +36,7 @@ from mavcal.calib.preflight.installed import Key
 from mavcal.calib.recording import Recording, Sensor
 
 _READING_SD: Final = 0.5
-"""degC: how a driver reads the chip."""
+"""Standard deviation of a thermometer reading, degC."""
 _WARM: Final = "Calibrate over these temperatures: log a warm-up at rest from cold, then mavcal fit thermal-poly."
 
 
@@ -47,9 +47,9 @@ class HealthReport:
     sensors: tuple[SensorHealth, ...]
     lacks: tuple[str, ...]
     shaking: tuple[JudgedItem, ...] = ()
-    """Vibration and clipping as the sanity of a flight has them as well."""
+    """Vibration and clipping, as in the flight checks."""
     silent: frozenset[Key] = frozenset()
-    """Sensors without a single reading that means anything, by sensor and instance."""
+    """Sensors without any valid reading, by sensor and instance."""
 
     @property
     def verdict(self) -> HealthVerdict:
@@ -68,7 +68,7 @@ class HealthReport:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The summary, one for each verdict."""
+        """The sentences of the summary, one for each verdict."""
         if not self.sensors:
             return ("The log has no accelerometer, gyroscope or compass.",)
         parts = []
@@ -145,7 +145,7 @@ def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFindi
     low, high = np.percentile(degrees, (0.5, 99.5)).tolist()  # one odd reading is no temperature
     was = f"was at {low:.0f} to {high:.0f} degC"
     vehicle = recording.identity.autopilot, recording.parameters.final(), sensor, instance
-    # autopilots zero their gyroscopes at each start: where they were zeroed once limits nothing
+    # autopilots zero their gyroscopes at each start, so the temperature of a calibration is no limit
     covered = corrected_by(*vehicle) if sensor == Sensor.GYRO else covered_by(*vehicle, None)
     if covered is None:
         text = f"{was}; no temperature calibration is in force: its drift is not corrected"

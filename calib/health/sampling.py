@@ -26,9 +26,9 @@ SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 _BUS: Final = "Check its bus and power; replace it if it comes back."
 _BATCHES: Final = "ISBD"
 _SELECTED: Final = "sensor_combined"
-"""Sources that hold a sensor for some of the time by design: batches, and whichever unit is selected."""
+"""Sources that contain a sensor only part of the time by design: batches, and the unit selected at the time."""
 _TURN: Final = float(np.radians(30.0))
-"""A compass that repeats one value through such a turn is stuck: a gyroscope 5 deg/s off turns less in five seconds."""
+"""Turn during which a stuck compass repeats one value; an offset of 5 deg/s fakes less in five seconds."""
 _MARGIN_PERIODS: Final = 2.0
 """Margin at both ends of a gap in periods of the slower sensor: two sensors need not stop at the same sample."""
 _SLOW_HZ: Final = 20.0
@@ -79,7 +79,7 @@ def _fell_silent(recording: Recording, channel: Channel, least: float) -> list[G
 
 
 def lost(every: Sequence[Sampled]) -> tuple[Gap, ...]:
-    """Gaps of the sensor with most samples that all others share: the logger's."""
+    """Gaps that all sensors share, by the one with most samples: they are the logger's."""
     densest = max(every, key=lambda one: len(one.channel), default=None)
     return () if densest is None else tuple(gap for gap in densest.gaps if not _went_on(gap, densest, every))
 
@@ -141,9 +141,9 @@ def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> He
 
 
 def _stuck(recording: Recording, one: Sampled, running: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
-    """A unit that repeats itself to the last digit while its channel otherwise moves.
+    """A unit that repeats itself to the last digit while its channel otherwise changes.
 
-    A compass may where nothing turns, and so may coarse numbers: of these only what they repeat in a turn counts.
+    A compass at rest and coarse values may repeat: for them only repetition during a turn counts.
     """
     channel, run = one.channel, constant_run(one.channel)
     if run is not None and (channel.sensor == Sensor.MAG or channel.quantum):
@@ -166,7 +166,7 @@ def _stuck(recording: Recording, one: Sampled, running: Sequence[TimeSpan]) -> I
 def _turned(recording: Recording, but: Channel, run: Gap) -> bool:
     """Whether every gyroscope but `but` turned by `_TURN` in `run`, one that is alone beyond its usual rate.
 
-    An offset is no turn: another unit does not share it, and one that is alone has it all the time.
+    An offset is not a turn: other units do not share it, and a single unit has it all the time.
     """
     seen: dict[int, bool] = {}
     for channel in recording.channels:
@@ -209,14 +209,14 @@ def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
 
 
 def setting(recording: Recording, what: Logged, rate: float = 0.0) -> str:
-    """Setting that has it recorded, at `rate` Hz or more; empty: not known."""
+    """The setting that records `what` at `rate` Hz or more; empty: not known."""
     if telemetry(recording):
         return how_to_stream(what, recording.identity, recording.parameters.final(), rate)
     return how_to_log(what, recording.identity, recording.parameters.final())
 
 
 def every_sample(recording: Recording) -> str:
-    """The action that has every sample of an accelerometer logged; empty where it is not known."""
+    """The action that logs every sample of an accelerometer; empty where it is not known."""
     if telemetry(recording):
         return ON_BOARD
     found = setting(recording, Logged.RAW_INERTIAL)
@@ -258,7 +258,7 @@ def _line(text: str, how: str) -> str:
 
 
 def _loads(recording: Recording) -> Iterator[str]:
-    """Data on the motors' field."""
+    """Missing data on the magnetic field of the motors."""
     currents = recording.find(Sensor.CURRENT)
     use = "interference of the motors with the compass"
     if not currents and not recording.find(Sensor.THROTTLE):
@@ -268,7 +268,7 @@ def _loads(recording: Recording) -> Iterator[str]:
 
 
 def _inertial(recording: Recording) -> Iterator[str]:
-    """Rates and levels for vibration."""
+    """Missing inertial data: rates and vibration levels."""
     accels = [c for c in recording.channels if c.sensor == Sensor.ACCEL and len(c) > 1]
     periods = [float(np.median(np.diff(c.t))) for c in accels]
     fastest = max((1.0 / period for period in periods if period > 0.0), default=0.0)
@@ -287,7 +287,7 @@ def _inertial(recording: Recording) -> Iterator[str]:
 
 
 def _losses(recording: Recording, every: Sequence[Sampled]) -> Iterator[str]:
-    """Stretches that the log itself lost."""
+    """Periods that are missing for all sensors, lost by the logger or the link."""
     gaps = lost(every)
     if gaps:
         longest = max(gaps, key=lambda gap: gap.length)

@@ -1,9 +1,9 @@
 """Whether other sensors confirm the logged attitude, so that it may serve as a reference.
 
-An attitude is made of the sensors that it would judge. A gyroscope that is off tumbles it, a dead compass pulls its
-heading. Its tilt is supported where the mean force of an accelerometer points up by it. Its heading is supported where
-a compass that lives keeps its direction by it. Where nothing was recorded that could contradict it, it is taken as it
-is.
+An attitude is estimated from the very sensors that it would judge. A faulty gyroscope makes it tumble, and a dead
+compass pulls its heading. Its tilt is confirmed where it turns the mean force of an accelerometer to point up. Its
+heading is confirmed where it turns the field of a live compass to a constant direction. Where no recorded data could
+contradict it, it is accepted.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from mavcal.calib.health.channels import judged_channel
 from mavcal.calib.recording import Array, Channel, Recording, Sensor
 
 _TILT_DEG: Final = 25.0
-"""Between up and the mean force over ten seconds: more than offsets, climbs and turns of a good attitude make of it."""
+"""Angle, deg, between up and the mean force over ten seconds, beyond the effect of offsets, climbs and turns."""
 _TILTED_DEG: Final = 15.0
-"""The same where the force is as long as gravity: an offset across it that turns it so far makes it 3.5 % longer, and
-a turn that banks so far as well."""
+"""The same where the force has the length of gravity. A horizontal offset that tilts the force as far makes it 3.5 %
+longer, and so does a banked turn."""
 _AS_LONG: Final = 0.025 * STANDARD_GRAVITY
-"""m/s2 by which such a force differs from gravity at most."""
+"""Largest difference of such a force from gravity, m/s2."""
 _SECOND: Final = 1.0
-"""s over which a force is averaged: a vehicle turns little meanwhile, and vibration averages out."""
+"""Averaging time of a force, s: a vehicle turns little meanwhile, and vibration averages out."""
 _HEADING_DEG: Final = 30.0
-"""Median deviation of a compass's heading by an attitude that follows it; calibrated badly it is ten."""
+"""Median deviation, deg, of a compass's field direction in a good attitude; a badly calibrated one has ten."""
 _REPEATED: Final = 0.9  # of the samples of a compass that equal the one before: it delivers nothing
 _WEAK: Final = 0.2  # of the field that must lie across the vertical to tell a heading
 
@@ -55,7 +55,7 @@ def support_of(recording: Recording, attitude: Channel | None) -> Support:
 
 
 def _tilt(recording: Recording, t: Array, turned: Array) -> str:
-    """Contradiction to the tilt: no accelerometer feels gravity where it has down."""
+    """Contradiction to the tilt: no accelerometer measures gravity along its vertical; empty: none."""
     angles, gravity = {}, []
     for instance in recording.instances(Sensor.ACCEL):
         channel = judged_channel(recording, Sensor.ACCEL, instance)
@@ -87,7 +87,7 @@ def _usual_length(accel: Channel) -> float:
 
 
 def _heading(recording: Recording, t: Array, turned: Array) -> str:
-    """Contradiction to the heading: every compass is dead, or turns by it."""
+    """Contradiction to the heading: every compass is dead, or its field turns with it; empty: none."""
     reasons = [
         f"compass {event.odd.instance + 1} is dead"
         for event in recording.events

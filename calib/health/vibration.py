@@ -1,8 +1,8 @@
 """Vibration of the inertial units: levels and clip counts, limits of the sampling, and rectification.
 
-Rectification shifts the mean of an accelerometer, beyond any calibration. The sensor alone shows it: the length of
-its force in calm seconds against that in shaken ones. A calibration error is in both; a shift that comes with the
-shaking is the mount's. Manoeuvres of a second average out over many.
+Rectification shifts the mean of an accelerometer, beyond any calibration. The sensor alone shows it: the length of its
+force in calm seconds against that in shaken ones. A calibration error is in both; a shift that comes with the shaking
+is due to the mount. Manoeuvres average out over many seconds.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from mavcal.calib.recording import Array, Channel, Recording, Sensor
 DAMP: Final = "Damp the mount, and balance the propellers."
 _WINDOW_S: Final = 1.0
 _LEAST_SAMPLES: Final = 8
-"""Samples of a window."""
+"""Least number of samples in a window."""
 _CALM: Final = 1.5
 _SHAKEN: Final = 2.0
-"""m/s2 rms of all axes: below it is calm, and above it is shaken."""
+"""Vibration, m/s2 rms over all axes: calm below `_CALM`, shaken above this."""
 _CALM_WINDOWS: Final = 3
 _SHAKEN_WINDOWS: Final = 10
 _STRONG: Final = 0.5 * STANDARD_GRAVITY
-"""m/s2 rms that may shift any mean, as far as a log without calm seconds can tell."""
+"""Vibration, m/s2 rms, that may shift any mean; for logs without calm seconds."""
 _SHIFTED: Final = 0.5
-"""m/s2: twice of what calls a calm sensor suspicious."""
+"""Shift of the mean, m/s2: twice the limit that makes a calm sensor suspicious."""
 _CLIPS: Final = 0.005
-"""Share of clipped samples above which they shift the mean."""
+"""Fraction of clipped samples above which they shift the mean."""
 _HELD_S: Final = 5.0
-"""A level counts as vibration where it was reached for so long in all; shorter ones are blows."""
+"""Total time, s, for which a level must be reached to count as vibration; shorter ones are impacts."""
 _LEAST: Final = 5
-"""Fewest logged levels of a statement on vibration."""
+"""Least number of logged levels to judge vibration."""
 _BLOW_S: Final = 5.0
-"""Clips that lie within so many seconds, in a flight that is longer, are a blow."""
+"""Clipping confined to this time, s, of a longer flight is an impact."""
 _NEAR: Final = 0.9
-"""Share of half the sampling rate: a line beyond it may be a faster one, folded back."""
+"""Fraction of the Nyquist frequency above which a line may be an alias of a faster one."""
 _WIDE_HZ: Final = 200.0
-"""Half a sampling rate beyond which the rotors of most vehicles do not turn, blades included."""
+"""Nyquist frequency, Hz, above the rotor and blade frequencies of most vehicles."""
 _SEEN: Final = {
     FlightVerdict.PASS: HealthVerdict.OK,
     FlightVerdict.NOT_TESTABLE: HealthVerdict.CANNOT_SAY,
@@ -59,11 +59,11 @@ _SEEN: Final = {
 
 @dataclass(frozen=True)
 class Rectified:
-    """The mean length of the force of one accelerometer, calm and shaken, m/s2."""
+    """Mean length of one accelerometer's force, m/s2, in calm and in shaken seconds."""
 
     instance: int
     calm: float | None
-    """None: it was never calm."""
+    """Mean in calm seconds; None: there were none."""
     calm_sd: float
     shaken: float
     rms: float
@@ -100,14 +100,14 @@ def rectified(recording: Recording, shaking: Sequence[JudgedItem] = ()) -> dict[
 
 
 def _least_shift(shaking: Sequence[JudgedItem], instance: int, count: int) -> float:
-    """m/s2 by which a mean has to move: samples at the end of the range shift it in any case."""
+    """Least shift of the mean, m/s2; it is smaller with clipped samples, which shift the mean in any case."""
     subject = f"accel {instance + 1}"
     at_end = [item.value or 0.0 for item in shaking if (item.name, item.subject) == ("clipping", subject)]
     return limits.FORCE.suspicious if max(at_end, default=0.0) > _CLIPS * count else _SHIFTED
 
 
 def explained(findings: Sequence[HealthFinding], shifted: Mapping[int, Rectified]) -> Iterator[HealthFinding]:
-    """`findings` with those that accuse a calibration of what the vibration did judged by the calm seconds."""
+    """`findings`, where those that blame a calibration for the effect of vibration are judged by the calm seconds."""
     yield from (one.finding for one in shifted.values())
     for finding in findings:
         one = shifted.get(finding.instance) if finding.sensor == Sensor.ACCEL else None
@@ -121,7 +121,7 @@ def explained(findings: Sequence[HealthFinding], shifted: Mapping[int, Rectified
 
 
 def _by_calm(finding: HealthFinding, one: Rectified, calm: float) -> HealthFinding:
-    """At worst suspicious: seconds that are calm enough to count may be shifted a little as well."""
+    """The finding by the calm seconds, at worst suspicious: these may be slightly shifted too."""
     off = abs(calm - STANDARD_GRAVITY)
     verdict = judged_value(off, one.calm_sd, dataclasses.replace(limits.FORCE, faulty=None))
     text = f"reads {calm:.2f} ± {shown_sd(one.calm_sd)} m/s2 in calm seconds; gravity is {STANDARD_GRAVITY:.2f}"
@@ -130,7 +130,7 @@ def _by_calm(finding: HealthFinding, one: Rectified, calm: float) -> HealthFindi
 
 
 def _windows(t: Array, values: Array) -> tuple[Array, Array]:
-    """Length of the mean force (M,) and rms of the vibration (M,), m/s2, in every second with samples enough."""
+    """Length of the mean force (M,) and rms vibration (M,), m/s2, of every second with enough samples."""
     if len(t) < _LEAST_SAMPLES:
         return np.zeros(0), np.zeros(0)
     second = np.floor((t - t[0]) / _WINDOW_S).astype(np.intp)
@@ -144,7 +144,7 @@ def _windows(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _of(instance: int, force: Array, vibration: Array, least: float = _SHIFTED) -> Rectified | None:
-    """The shift of the mean force by vibration; None: it does not shift, or there is too little calm or vibration."""
+    """Shift of the mean force by vibration; None: no shift, or too little calm or vibration to tell."""
     shaken, calm = force[vibration > _SHAKEN], force[vibration < _CALM]
     if len(shaken) < _SHAKEN_WINDOWS:
         return None
@@ -191,7 +191,7 @@ def _instance(item: JudgedItem) -> int:
 
 
 def _of_item(item: JudgedItem, limit: HealthLimit) -> HealthFinding:
-    """A check that the sanity of a flight makes already."""
+    """Finding from an item of the flight checks."""
     verdict = _SEEN[item.verdict]
     shown = "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else DAMP
     text = f"vibrates by {item.text}" if item.name == "vibration" and item.value is not None else item.text
@@ -210,7 +210,7 @@ def _in_flight(channel: Channel, flown: Sequence[TimeSpan]) -> Channel:
 
 
 def _held(t: Array, level: Array) -> float:
-    """The level that was reached for `_HELD_S` in all, or throughout what is shorter."""
+    """The level that was reached for `_HELD_S` in total, or throughout a shorter series."""
     step = np.diff(t, prepend=t[0] - (t[1] - t[0]))
     step = np.minimum(step, 5.0 * float(np.median(step)))
     order = np.argsort(-level)
@@ -248,7 +248,7 @@ def _level(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> He
 
 
 def _clipping(recording: Recording, item: JudgedItem) -> HealthFinding:
-    """Counts with their time; those of a moment are a blow, whose cause is not the mount."""
+    """Clip counts with their time; clipping of a moment is an impact, which is not the mount's fault."""
     instance = _instance(item)
     made = _of_item(item, limits.CLIPS)
     odd = [(event.t, event.odd) for event in clipped_events(recording, instance) if event.odd is not None]
@@ -271,7 +271,7 @@ def _clipping(recording: Recording, item: JudgedItem) -> HealthFinding:
 
 
 def _aliasing(recording: Recording, instance: int, numbers: Mapping[str, object], how_to_log: str) -> HealthFinding:
-    """A line near half the sampling rate, or what a slow stream cannot show."""
+    """Finding on a line near the Nyquist frequency, or on what a slow stream cannot show."""
     half, tones, source = float(str(numbers["nyquist_hz"])), numbers["tones"], numbers["source"]
     found = [t for t in tones if t["hz"] >= _NEAR * half] if isinstance(tones, list) else []
     line = max(found, key=lambda tone: float(tone["amplitude"]), default=None)

@@ -50,25 +50,25 @@ def fit_imu(
 ) -> tuple[FitResult, FitResult]:
     """Offset and matrix of an accelerometer and a gyroscope from still poses and the movements between them.
 
-    Both are fitted as one maximum-likelihood problem. The means of the poses lie on the accelerometer's ellipsoid; the
+    Both are fitted as one maximum-likelihood problem. The means of the poses lie on the accelerometer's ellipsoid. The
     gyroscope carries each direction of gravity to the next one; its mean at rest is its offset. Both sensors come out
     in one frame, that of the accelerometer; no pose shows how that is mounted in the vehicle.
 
     Parameters
     ----------
     accel, gyro : Channel
-        Samples of the same time and the same unit, SI or counts; from counts follows the scale of a count.
+        Samples of the same time, both in SI units or both in counts; counts yield their scale as well.
     gravity
         Length of the corrected accelerometer, m/s2.
     cross_sd
-        Usual size of misalignments, one sd in rad. Those that the data do not know three times better are undetermined
-        and held at zero; their usual size is part of the others' uncertainty.
+        Usual size of misalignments, one sd in rad. A misalignment that the data do not know three times better is
+        undetermined and held at zero. Its usual size is then part of the others' uncertainty.
     form
         Canonical form of the accelerometer's matrix; ``upper`` keeps the sensor's x axis (imu_tk).
     spans : shape (P, 2) or None
-        Where it is known to be still, s. None: found.
+        Spans known to be still, s; None: they are found.
     min_still
-        s for which a pose was held at least, where they are found.
+        Least time that a pose was held, s, where the spans are found.
     temperature
         Mean of the sensor, degC; None: not known.
     relative
@@ -125,7 +125,7 @@ def _held_for_less(accel: Channel, gyro: Channel, gravity: float | None, count: 
 
 @dataclass(frozen=True, eq=False)
 class _Begun:
-    """The problem with its start, in radii and rates that `gyro_scale` makes of the gyroscope's unit."""
+    """The problem with its start, in radii and in rates: `gyro_scale` times the gyroscope's unit."""
 
     problem: ImuProblem
     x: Array
@@ -135,7 +135,7 @@ class _Begun:
     gyro_scale: float
     left_out: int
     misread: float | None
-    """What the gyroscope's numbers must be multiplied by, where its unit or range is another one; None: it is not."""
+    """Factor on the gyroscope's numbers where their unit or range is wrong; None: it is right."""
 
 
 def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, cross_sd: float) -> _Begun | str:
@@ -188,7 +188,7 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
 
 
 def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
-    """Solve, weigh, hold what stays unknown, and say it."""
+    """Both fits: solved and weighted, with undetermined unknowns held and named."""
     begin = linearise(begun.problem, begun.x, begun.directions, turns_of(begun.problem, begun.x))
     open_at_start = Coordinates(_unknown(reduced(begin)[0], begun.prior, cross_sd, student_factor=1.0))
     first = solve(begun.problem, begun.x, begun.directions, prior=begun.prior, coordinates=open_at_start)
@@ -235,7 +235,7 @@ def _prior(centre: Array, cross_sd: float) -> ImuPrior:
 
 
 def _unknown(information: Array, prior: ImuPrior, cross_sd: float, student_factor: float) -> NDArray[np.intp]:
-    """The unknowns that data of `information` (21, 21) leave undetermined; `student_factor` multiplies variances."""
+    """Indices of the unknowns that the data leave undetermined; `student_factor` multiplies variances."""
     sd = np.sqrt(np.diag(np.linalg.inv(information + np.diag(prior.information))) * student_factor)
     limit = np.concatenate([np.full(6, UNDETERMINED), np.full(12, _LEARNT * cross_sd), np.full(3, np.inf)])
     limit[DIAGONAL] = UNDETERMINED
@@ -258,7 +258,7 @@ def _covariance(weighed: Weighed, solution: ImuSolution, unknown: NDArray[np.int
 
 
 def _integrable(gyro: Channel, spans: Array) -> NDArray[np.bool_]:
-    """Mask of `spans` (K, 2) that the gyroscope covers without a hole or a reading at the end of its range."""
+    """Mask of the `spans` (K, 2) over which the gyroscope has neither a gap nor a reading at the end of its range."""
     step = float(np.median(np.diff(gyro.t)))
     highest, lowest = gyro.values.max(axis=0), gyro.values.min(axis=0)
     usable = np.zeros(len(spans), dtype=np.bool_)
@@ -272,7 +272,7 @@ def _integrable(gyro: Channel, spans: Array) -> NDArray[np.bool_]:
 
 
 def _filled(accel: Channel, gyro: Channel, spans: Array) -> Array:
-    """The spans that hold samples enough of both sensors."""
+    """The spans that hold enough samples of both sensors."""
     counts = [np.diff(np.searchsorted(c.t, spans.ravel()).reshape(-1, 2), axis=1)[:, 0] for c in (accel, gyro)]
     return spans[np.minimum(*counts) >= _LEAST_IN_POSE]
 

@@ -1,8 +1,8 @@
 """Integrated gyroscope rotation between poses, with its derivatives by the gyroscope's model.
 
 In the body the direction u of gravity obeys ``du/dt = -w x u``. The model G, b turns the samples m into the rate ``w =
-G (m - b)``. Each sample rules the time that is nearest to it, in which the rate counts as constant: the step is then a
-rotation, exactly (Rodrigues). Steps are multiplied in chunks side by side, so that forty movements cost no more calls
+G (m - b)``. Each sample holds for the time nearest to it, over which the rate is taken as constant. The step is then
+exactly a rotation (Rodrigues). Steps are multiplied in chunks side by side, so that forty movements cost no more calls
 than one.
 """
 
@@ -38,7 +38,7 @@ class Moves:
 
     @classmethod
     def of(cls, t: Array, values: Array, spans: Array, origin: Array) -> Moves:
-        """The samples `values` (N, 3) at `t` (N,) that rule the time of `spans` (k, 2); N is two at least."""
+        """The movements in `spans` (k, 2) of the samples `values` (N, 3) at `t` (N,); N is at least two."""
         edges = np.concatenate([[-np.inf], 0.5 * (t[1:] + t[:-1]), [np.inf]])
         begins = np.maximum(np.searchsorted(edges, spans[:, 0], side="right") - 1, 0)
         ends = np.searchsorted(edges, spans[:, 1])
@@ -68,12 +68,12 @@ class Moves:
         return Moves(self.rates[chunks], self.steps[chunks], first, self.origin, self.durations[which])
 
     def thinned(self) -> Moves:
-        """The same movements seen by every second sample: what a sampler of half the rate would have."""
+        """The same movements with every second sample, as at half the sample rate."""
         return dataclasses.replace(self, rates=self.rates[:, ::2], steps=self.steps[:, ::2] + self.steps[:, 1::2])
 
     @property
     def mean_step(self) -> float:
-        """Mean time that a sample rules, s."""
+        """Mean time for which a sample holds, s."""
         return float(self.steps.sum() / max(np.count_nonzero(self.steps), 1))
 
 
@@ -119,7 +119,7 @@ def integrate(moves: Moves, matrix: Array, offset: Array, density: Array) -> Tur
 
 
 def _joined(moves: Moves, whole: Array, local: Array, noise: Array) -> Turns:
-    """From chunks to movements; psi is turned to the end of its movement."""
+    """The chunks joined to movements; psi is turned to the end of its movement."""
     count = len(moves)
     counts = np.diff(moves.first)
     rotation = np.tile(np.eye(3), (count, 1, 1))
@@ -150,7 +150,7 @@ def _rotations(phi: Array) -> Array:
 
 
 def _left_jacobian(phi: Array) -> Array:
-    """How ``exp(-[phi]x)`` turns with phi, seen before the step: ``I + [phi]x/2 + [phi]x^2/6 + ...``, (..., 3, 3)."""
+    """Jacobian (..., 3, 3) of ``exp(-[phi]x)`` by phi, in axes before the step: ``I + [phi]x/2 + [phi]x^2/6 + ...``."""
     angle2 = (phi**2).sum(axis=-1)
     half = 0.5 * np.sinc(0.5 * np.sqrt(angle2) / np.pi) ** 2
     third = 1.0 / 6.0 - angle2 / 120.0  # (angle - sin)/angle^3; a step is far below one radian

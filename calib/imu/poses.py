@@ -1,14 +1,14 @@
 """Still poses of a recording: their spans, and both sensors' means with noise.
 
-The noise of a sensor is the same in every pose, so it is pooled; a pose keeps its own only where it is clearly more (a
-hand that sways). Sway turns the body, so it shows across gravity and not along it. A movement begins and ends at the
-mean direction of a pose, which sway makes uncertain.
+A sensor's noise is the same in every pose, so it is pooled. A pose keeps its own noise only if that is clearly larger,
+as with a swaying hand. Sway turns the body, so it shows across gravity and not along it. A movement begins and ends at
+the mean direction of a pose, which sway makes uncertain.
 
-Every quarter of a window the scatter of accelerometer and gyroscope about a straight line is measured. A window is
-still if both stay below a multiple of the scatter of the quietest windows. Half a window is left off at both ends of
-every still span, and a span whose halves disagree is none (METHODS 3.3). Of a ladder of multiples, the one counts by
-which the accelerometer would be known best, misfit included. This criterion is per residual, so it does not favour few
-poses.
+Windows begin every quarter of their length. In each, the scatter of accelerometer and gyroscope about a straight line
+is measured. A window is still if both stay below a multiple of the scatter of the quietest windows. Half a window is
+cut off at both ends of every still span; a span whose halves disagree is discarded (METHODS 3.3). Several multiples are
+tried; the one that leaves the accelerometer known best, misfit included, is taken. This criterion is per residual, so
+it does not favour few poses.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LEAST_VARIANCE = 1e-30  # of any unit
 _WEAK_CROSS = 0.03  # prior sd of cross terms where candidates are compared
 ACCEL_LADDER = (1.5, 2.5, 4.0, 8.0)
 GYRO_LADDER = (1.5, 3.0, 6.0, 12.0)
-"""Multiples of the quietest windows' scatter."""
+"""Multiples of the quietest windows' scatter that are tried."""
 _WINDOW = 0.5  # s
 _LEAST_SAMPLES = 10  # of a window
 _TILT = 0.01  # rad across a window, beyond its noise: it turns slowly
@@ -69,20 +69,20 @@ class Poses:
 
 
 def find_poses(accel: Channel, gyro: Channel, gravity: float | None, min_still: float = HOLD_S) -> Array:
-    """Spans (P, 2) of the still poses, of the detector's limits that leave the accelerometer known best.
+    """Spans (P, 2) of the still poses, by the detector limits that leave the accelerometer known best.
 
-    For every rung of the ladder the accelerometer is fitted to the means of the poses; the rung with the smallest mean
-    logarithm of its variances wins, times the residuals' reduced chi-square: more poses count, poses that were not
-    still count against.
+    For every pair of limits the accelerometer is fitted to the means of the poses. Its variances are multiplied by the
+    residuals' reduced chi-square; the smallest mean logarithm wins. More poses lower it, and poses that were not still
+    raise it.
 
     Parameters
     ----------
     accel, gyro
         Finite samples of the same time.
     gravity
-        In the unit of `accel`; None: the radius of the quiet readings.
+        Gravity in the unit of `accel`; None: the radius of the quiet readings.
     min_still
-        s for which a pose was held at least.
+        Least time that a pose was held, s.
     """
     size = gravity if gravity is not None else _radius(accel, gyro)
     watch = ScatterWindows.of(accel, gyro, size, min_still / HOLD_S)
@@ -156,14 +156,14 @@ def _rates(gyro: Channel, spans: Array) -> tuple[Array, Array, Array]:
 
 
 def _quietest(scatter: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Variance (3,) of a sample in the poses of `scatter` (P, 3) that nothing shakes, and which those are."""
+    """Variance (3,) of a sample in the undisturbed poses of `scatter` (P, 3), and the mask (P,) of these."""
     total = scatter.sum(axis=1)
     quiet = total <= 1.5 * np.quantile(total, 0.25)
     return scatter[quiet].mean(axis=0), quiet
 
 
 def _uncertainty(accel: Channel, spans: Array, gravity: float | None, floor: float) -> float:
-    """Mean logarithm of the accelerometer's variances by those poses, with the misfit in it."""
+    """Mean logarithm of the accelerometer's variances from these poses, misfit included."""
     means, counts = _plain_means(accel, spans)
     centre, radius = (np.zeros(3), gravity) if gravity is not None else sphere_of(means)
     prior = np.zeros(9)
@@ -209,9 +209,9 @@ class ScatterWindows:
 
     @classmethod
     def of(cls, accel: Channel, gyro: Channel, gravity: float, part: float = 1.0) -> ScatterWindows:
-        """Watch two channels of finite samples over the time that both cover; `gravity` in the unit of `accel`.
+        """The scatter of two channels of finite samples over their common time; `gravity` in the unit of `accel`.
 
-        `part` is that of the usual window, for poses that were held for less or more than usual.
+        `part` scales the usual window, for poses held for less or more time than usual.
         """
         begin, end = max(accel.t[0], gyro.t[0]), min(accel.t[-1], gyro.t[-1])
         step = max(_median_step(accel), _median_step(gyro))
@@ -236,7 +236,7 @@ class ScatterWindows:
 
 
 def candidates(watch: ScatterWindows) -> Iterator[Array]:
-    """Spans (P, 2) of the still poses for every rung of the ladder, the same ones not twice."""
+    """Spans (P, 2) of the still poses for every pair of limits, without repetition."""
     seen = set()
     for gyro_factor in GYRO_LADDER:
         for accel_factor in ACCEL_LADDER:
@@ -248,7 +248,7 @@ def candidates(watch: ScatterWindows) -> Iterator[Array]:
 
 
 def _spans(watch: ScatterWindows, still: NDArray[np.bool_]) -> Array:
-    """Consecutive still windows, half a window shorter at both ends where motion borders."""
+    """Spans of consecutive still windows, cut by half a window at each end that borders on motion."""
     apart = np.diff(watch.starts) > 0.3 * watch.length  # a hole in the recording
     first = np.flatnonzero(still & np.concatenate([[True], ~still[:-1] | apart]))
     last = np.flatnonzero(still & np.concatenate([~still[1:] | apart, [True]]))
@@ -278,7 +278,7 @@ def _median_step(channel: Channel) -> float:
 
 
 def _floor(windows: Windows, quantum: float) -> float:
-    """Scatter of the quietest windows; of what the bins alone make where there is no noise."""
+    """Scatter of the quietest windows; that of the quantisation alone if there is no noise."""
     usable = windows.n >= _LEAST_SAMPLES // 2
     quietest = float(np.quantile(windows.scatter[usable], _QUIET)) if usable.any() else 0.0
     largest = float(np.abs(windows.mean[usable]).max(initial=0.0))

@@ -6,7 +6,7 @@ In units of the poses' radius and of a gyroscope of about unit scale, with u_k t
 * movement: ``u_after = D(G, bg) u_before``, two numbers across it;
 * rest: the mean of the gyroscope over all poses is bg.
 
-The directions form a chain, so they are eliminated by one banded factorisation, and 21 unknowns stay (METHODS 3.3).
+The directions form a chain, so one banded factorisation eliminates them and leaves 21 unknowns (METHODS 3.3).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class ImuProblem:
     """Pose means, movements and rest, each with its noise; K movements between P poses.
 
     `means` (P, 3) and `covariances` (P, 3, 3) in radii; `before` (K,) is the pose that movement k leaves, the next one
-    is where it ends; `wander` (P,) the variance of a direction by sway, rad^2; `density` (3,) the noise of the rates
-    (:func:`integrate`) and `turn_covariances` (K, 3, 3) what it does to each turn; `extra` variances that the residuals
-    ask for beyond the noise: of a mean's component, and of a direction after a movement.
+    is where it ends; `wander` (P,) is the variance of a direction by sway, rad^2; `density` (3,) the noise of the rates
+    (:func:`integrate`) and `turn_covariances` (K, 3, 3) its effect on each turn. `extra` are the variances that the
+    residuals need beyond the noise: of a mean's component, and of a direction after a movement.
     """
 
     means: Array
@@ -95,7 +95,7 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class ImuSolution:
-    """Where the iteration ended: unknowns (21,), directions (P, 3), information with the directions eliminated."""
+    """The converged solution: unknowns (21,), directions (P, 3), information with the directions eliminated."""
 
     x: Array
     directions: Array
@@ -107,7 +107,7 @@ class ImuSolution:
 def solve(
     problem: ImuProblem, x: Array, directions: Array, *, prior: ImuPrior = NO_PRIOR, coordinates: Coordinates = FREE
 ) -> ImuSolution | None:
-    """Gauss and Newton with damped steps from `x` (21,) and `directions` (P, 3); None if it does not converge.
+    """Damped Gauss-Newton solution from `x` (21,) and `directions` (P, 3); None if it does not converge.
 
     The information of the solution is that of the data, without the prior.
     """

@@ -41,12 +41,12 @@ class RecordingFacts:
     relative: bool
 
     def made(self, channel: Channel) -> FitBuilder:
-        """What begins the result of one of the sensors."""
+        """Builder of one sensor's result."""
         return FitBuilder.of(METHOD, channel, relative=self.relative, temperature=self.temperature, movement=MOVEMENT)
 
 
 def imu_refused(facts: RecordingFacts, message: str) -> tuple[FitResult, FitResult]:
-    """Both sensors refused, with what would determine them."""
+    """Refused results of both sensors, with what would determine them."""
     return facts.made(facts.accel).refused(message), facts.made(facts.gyro).refused(message)
 
 
@@ -64,7 +64,7 @@ def imu_results(
 ) -> tuple[FitResult, FitResult]:
     """The fits of both sensors, from the solution in radii and scaled rates with its `covariance` (21, 21).
 
-    A gyroscope whose numbers are `misread` is refused, with what they must be multiplied by.
+    A gyroscope is refused if `misread` gives a factor on its numbers; the refusal states it.
     """
     x = weighed.solution.x
     spread = _derivative(x, facts, radius, gyro_scale)
@@ -122,7 +122,7 @@ def _earth_variance(poses: Poses) -> Array:
 
 
 def _open_names(unknown: NDArray[np.intp], form: Form) -> tuple[dict[str, str], dict[str, str]]:
-    """The numbers of accelerometer and gyroscope that are open, each with the movement that would determine it."""
+    """Undetermined parameters of accelerometer and gyroscope, each with the movement that would determine it."""
     accel: dict[str, str] = {}
     gyro: dict[str, str] = {}
     for index in unknown:
@@ -295,7 +295,7 @@ def _message(weighed: Weighed, open_names: dict[str, str]) -> str:
 
 
 def _closure(weighed: Weighed) -> float:
-    """Root mean square, rad, of what the movements miss the next direction by."""
+    """Root mean square angle by which the movements miss the next direction, rad."""
     solution, before = weighed.solution, weighed.problem.before
     if not len(before):
         return 0.0
@@ -315,7 +315,7 @@ def _condition(weighed: Weighed, part: slice) -> float:
 
 
 def _native(model: TriadModel, form: Form) -> dict[str, Any]:
-    """Also in the form of imu_tk, ``T K (raw - b)``: misalignment T of unit diagonal, scale K, bias b."""
+    """The model in the form of imu_tk, ``T K (raw - b)``: misalignment T of unit diagonal, scale K, bias b."""
     scale = np.diag(model.matrix)
     native: dict[str, Any] = {
         "offset": model.offset.tolist(),

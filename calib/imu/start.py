@@ -23,9 +23,9 @@ _BLOCK = 0.1  # s over which the direction is averaged while it turns
 def rough_gyro(
     accel: Channel, gyro: Channel, spans: Array, rest: Array, centre: Array, block: float = _BLOCK
 ) -> Array | None:
-    """Matrix (3, 3), rad/s per unit of `gyro`, by which the accelerometer turns between the poses; None: not told.
+    """Gyroscope matrix (3, 3), rad/s per unit of `gyro`, from the accelerometer's turns; None: undetermined.
 
-    ``u' = -w x u`` over blocks of a tenth of a second, linear in the matrix; what the hand accelerates counts as noise.
+    ``u' = -w x u`` over blocks of a tenth of a second, linear in the matrix; accelerations by the hand count as noise.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rough_gyro(
     spans : shape (K, 2)
         The movements, s.
     rest, centre : shape (3,)
-        What the gyroscope reads at rest, and the accelerometer without gravity.
+        Reading of the gyroscope at rest, and of the accelerometer without gravity.
     block
         Time over which a direction is averaged, s.
     """
@@ -59,15 +59,15 @@ def rough_gyro(
 
 
 def closure(problem: ImuProblem, x: Array) -> float:
-    """Root mean square, rad, of the angle by which the movements of the model `x` (21,) miss the next pose."""
+    """Root mean square angle by which the movements of the model `x` (21,) miss the next pose, rad."""
     return float(np.sqrt((_misses(problem, x) ** 2).mean()))
 
 
 def rate_factor(problem: ImuProblem, x: Array, rough: Array) -> float | None:
     """Factor on the gyroscope's numbers that corrects a wrong unit or range.
 
-    None: as they are the movements lead from pose to pose, or no factor makes them. `x` (21,) has the gyroscope as it
-    is given, `rough` (3, 3) is that of :func:`rough_gyro`.
+    None: the movements lead from pose to pose without a factor, or with none. `x` (21,) has the gyroscope as given;
+    `rough` (3, 3) is from :func:`rough_gyro`.
     """
     as_given = float(np.median(_misses(problem, x)))
     begun = float(np.cbrt(abs(np.linalg.det(rough))))
@@ -95,10 +95,10 @@ def _misses(problem: ImuProblem, x: Array) -> Array:
 
 
 def with_turn_noise(problem: ImuProblem, x: Array) -> ImuProblem:
-    """The problem with the noise of its turns as the model `x` (21,) has it, coarse sampling included.
+    """The problem with the noise of its turns by the model `x` (21,), coarse sampling included.
 
-    A turn that every second sample shows otherwise was faster than the samples: a third of the difference is its error
-    (Richardson, second order).
+    A turn that comes out differently with every second sample was too fast for the sample rate. A third of the
+    difference is its error (Richardson, second order).
     """
     matrix, offset = x[9:18].reshape(3, 3), x[18:21]
     turns = integrate(problem.moves, matrix, offset, problem.density)

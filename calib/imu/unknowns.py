@@ -34,7 +34,7 @@ class ImuPrior:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """In which directions the unknowns may move: not the `held` ones; a `rigid` gyroscope only turns (G a rotation)."""
+    """Directions in which the unknowns may move: all but the `held`; a `rigid` G stays a rotation."""
 
     held: NDArray[np.intp]
     rigid: bool = False
@@ -49,7 +49,7 @@ class Coordinates:
         return np.delete(basis, self.held, axis=1)
 
     def moved(self, x: Array, change: Array) -> Array:
-        """`x` after the `change` (p,), on the rotations again where it is rigid."""
+        """`x` after the `change` (p,); a rigid G is projected back onto the rotations."""
         new = x + self.tangents(x) @ change
         if self.rigid:
             U, _, Vt = np.linalg.svd(new[9:18].reshape(3, 3))

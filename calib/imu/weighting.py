@@ -45,7 +45,7 @@ class GroupFit:
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """The solution with honest weights, how both groups fitted without them, and what was left out.
+    """The solution with weights from the residuals, how both groups fitted without them, and what was left out.
 
     `kept` (P',) are the poses of the given problem that are still in it, `moves_out` the movements that are not.
     """
@@ -59,15 +59,15 @@ class Weighed:
 
     @property
     def student_factor(self) -> float:
-        """Factor on variances whose noise was found from the residuals themselves, few as they are; else one."""
+        """Factor on variances whose noise was estimated from few residuals; else one."""
         return student_variance(max(self.problem.freedom, 1)) if any(self.problem.extra) else 1.0
 
 
 def weigh(problem: ImuProblem, solution: ImuSolution, prior: ImuPrior, coordinates: Coordinates) -> Weighed:
-    """Leave out what alone spoils the fit, at most a tenth of the poses; then add variances until the rest fits.
+    """Leave out poses or movements that spoil the fit, at most a tenth; then add variances until the rest fits.
 
-    A pose or a movement spoils the fit if without it the reduced chi-square is less than half of what it was: one that
-    was bumped does, hands that sway do not. A pose takes its movements with it.
+    A pose or a movement spoils the fit if leaving it out more than halves the reduced chi-square. A bump does so;
+    swaying hands do not. A pose takes its movements with it.
     """
     kept, given = np.arange(len(problem.means)), len(problem.before)
     for _ in range(int(_MOST_LEFT_OUT * len(kept))):
@@ -87,7 +87,7 @@ def weigh(problem: ImuProblem, solution: ImuSolution, prior: ImuPrior, coordinat
 def _without_worst(
     problem: ImuProblem, solution: ImuSolution, prior: ImuPrior, coordinates: Coordinates
 ) -> tuple[ImuProblem, ImuSolution, int | None] | None:
-    """Without the pose or the movement that spoils the fit, and which pose it was; None if none alone does."""
+    """The fit without the pose or movement that spoils it, and which pose it was; None if no single one does."""
     if problem.freedom < _LEAST_FREEDOM:
         return None
     poses, moves = (np.abs(r).max(axis=1, initial=0.0) for r in (solution.at.poses, solution.at.moves))
@@ -142,7 +142,7 @@ def _expanded(
 ) -> tuple[ImuProblem, ImuSolution]:
     """The problem with the variances that make the groups fit, and its solution.
 
-    The movements come first: their noise is the one less known, and a movement that is off bends the poses at its ends.
+    The movements come first: their noise is known less well, and a wrong movement distorts the poses at its ends.
     """
     fits = (poses, moves)
     for group in (_MOVES, _POSES, _MOVES):

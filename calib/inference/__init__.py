@@ -1,1 +1,1 @@
-"""One posterior over sets of effects: marginal likelihood, prior inclusion, sums over the models that were visited."""
+"""Posterior over sets of effects: marginal likelihoods, prior odds, and sums over the visited models."""

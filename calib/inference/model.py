@@ -1,7 +1,7 @@
-"""What the search needs to know: blocks that may be in or out, and a posterior of any set of them.
+"""What the search needs: blocks that a model may contain, and the posterior of any set of them.
 
-Nothing here knows what a block means. A :class:`Posterior` is the marginal likelihood of the data under one set of
-blocks, with every amplitude integrated out under its prior (Laplace where the model is not linear).
+Nothing here knows what a block means. A :class:`Posterior` has the marginal likelihood of the data under one set of
+blocks. Every amplitude is integrated out under its prior (Laplace where the model is not linear).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Model = frozenset[str]
 
 @dataclass(frozen=True)
 class Block:
-    """One effect: how likely it is before the data, the spread of its amplitudes, and what it cannot stand beside.
+    """One effect: its prior odds, the spread of its amplitudes, and which blocks it excludes.
 
-    `prior_odds` are those of being in; `sd` (k,) the prior standard deviations of its k amplitudes. `nameless` blocks
-    stand for what no named one says. Two of the same `exclusive` group are never in one model.
+    `prior_odds` are the odds of being in the model; `sd` (k,) the prior standard deviations of its k amplitudes.
+    `nameless` blocks stand for what no named one explains. Two of the same `exclusive` group are never in one model.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Block:
 class Posterior:
     """One model after the data: log of the marginal likelihood, amplitudes (K,) and their covariance (K, K).
 
-    `places` says where each block's amplitudes stand; the rest are parameters that every model has.
+    `places` gives the position of each block's amplitudes; the rest are parameters that every model has.
     """
 
     log_evidence: float
@@ -58,17 +58,17 @@ class Evidence(Protocol):
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """Everything that may be in."""
+        """All blocks that a model may contain."""
 
     def posterior(self, model: Model) -> Posterior:
-        """Of the model with these blocks."""
+        """Posterior of the model with these blocks."""
 
     def refined(self, model: Model) -> Evidence:
         """The same data expanded about that model's best point."""
 
 
 Map = Callable[[Array], tuple[Array, Array]]
-"""Amplitudes (K,) of a model to the parameters (P,) of one record, and their derivative (P, K)."""
+"""From the amplitudes (K,) of a model to the parameters (P,) of one record, with their derivative (P, K)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Term:
 
 _ROUNDS: Final = 20
 _SETTLED: Final = 1e-5
-"""Nats that a further step would gain, below which the best point stands."""
+"""Gain of a further step, nats, below which the iteration has converged."""
 _SHORTEST: Final = 1e-3
 
 
@@ -89,7 +89,7 @@ def laplace(terms: Iterable[Term], start: Array, prior_mean: Array, prior_sd: Ar
     """Log of the integral over all amplitudes, the best ones (K,) and their covariance (K, K).
 
     Gauss-Newton about the best point; exact where the parameters are linear in the amplitudes. The priors are normal
-    and independent. Raises LinAlgError if the curvature is singular beside them.
+    and independent. Raises LinAlgError if the curvature is singular even with the priors.
     """
     terms, z = tuple(terms), start.copy()
     best, slope, hessian = _expanded(terms, z, prior_mean, prior_sd)
@@ -112,7 +112,7 @@ def laplace(terms: Iterable[Term], start: Array, prior_mean: Array, prior_sd: Ar
 
 
 def _expanded(terms: tuple[Term, ...], z: Array, mean: Array, sd: Array) -> tuple[float, Array, Array]:
-    """Log of likelihood times prior at `z`, its slope and its curvature."""
+    """Log of likelihood times prior at `z`, its gradient and its curvature."""
     off = (z - mean) / sd
     value, slope, hessian = -0.5 * float(off @ off), -off / sd, np.diag(sd**-2.0)
     for term in terms:

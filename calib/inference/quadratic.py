@@ -21,19 +21,19 @@ class Quadratic:
     constant: float = 0.0
 
     def at(self, theta: Array) -> float:
-        """The log-likelihood there, nats."""
+        """Log-likelihood at `theta`, nats."""
         d = theta - self.centre
         return float(self.constant + self.gradient @ d - 0.5 * d @ self.curvature @ d)
 
     def slope(self, theta: Array) -> Array:
-        """Its derivative there (P,)."""
+        """Gradient (P,) of the log-likelihood at `theta`."""
         return np.asarray(self.gradient - self.curvature @ (theta - self.centre))
 
     def with_discrepancy(self, precision: Array) -> Quadratic:
-        """The same where the record's own parameters differ from the model's by normal errors, integrated out.
+        """The form with normal errors between the record's parameters and the model's integrated out.
 
-        The model is right to so much only, and no record, however long, says more (Kennedy and O'Hagan 2001).
-        `precision` (P, P) is the inverse of the covariance of these errors; it must be positive definite.
+        These errors bound what a record of any length can say about the model (Kennedy and O'Hagan 2001). `precision`
+        (P, P) is the inverse of the covariance of these errors; it must be positive definite.
         """
         root = np.linalg.cholesky(precision)
         whitened = solve_triangular(root, solve_triangular(root, self.curvature, lower=True).T, lower=True)
@@ -50,7 +50,7 @@ class Quadratic:
         )
 
     def without(self, gone: NDArray[np.bool_], mean: Array, sd: Array) -> Quadratic:
-        """The same of the other parameters; those `gone` (P,) are integrated out under normal priors (P,), (P,)."""
+        """The form of the other parameters; those `gone` (P,) are integrated out under normal priors (P,), (P,)."""
         kept = ~gone
         prior = np.diag(1.0 / sd[gone] ** 2)
         off = mean[gone] - self.centre[gone]

@@ -1,4 +1,4 @@
-"""One posterior over all sets of blocks: add, drop and swap until none helps; every answer is a sum over what was seen.
+"""Search for likely sets of blocks: add, drop and swap until nothing helps; answers are sums over visited models.
 
 Every visited model within :data:`KEPT_NATS` of the best is kept with its weight. Probabilities, rivals and the set of
 confusable blocks are sums over the kept models: there is no second formula.
@@ -16,16 +16,16 @@ import numpy as np
 from mavcal.calib.inference.model import Block, Evidence, Model, Posterior
 
 KEPT_NATS = 12.0
-"""A model so much less likely than the best has a weight below 1e-5, and is forgotten. Source: the issue's engine."""
+"""A model this much less likely than the best has a weight below 1e-5 and is dropped. Source: the issue's engine."""
 _MOST_REFINED = 12
-"""Times that the data are expanded about a new best point. Measured: two are the rule, ten the slowest case seen."""
-_STILL = 0.25
-"""The search ends when no block changes by more than this between two expansions, in its standard errors.
-Measured: stopped at the first model that came twice, a drag of 0.07 +- 0.05 was told as 0.32 +- 0.04."""
+"""Times that the data are expanded about a new best point. Measured: two are usual, ten in the slowest case seen."""
+_MOST_CHANGE = 0.25
+"""Largest change of a block between two expansions at which the search ends, in standard errors. Measured: when it
+stopped at the first repeated model, a drag of 0.07 +- 0.05 was reported as 0.32 +- 0.04."""
 _MOST_BLOCKS = 8
 """Most blocks of one model. Source: mixtures have two to four (AIRFRAME 6); twice as many leave room."""
 _MOST_MODELS = 3000
-"""Models after which no further neighbours are visited. Chosen, not measured: it bounds the time."""
+"""Number of models after which no further neighbours are visited. Chosen, not measured: it bounds the time."""
 CLOSED_NATS = 4.0
 """Every neighbour of a model within so many nats of the best is visited. Measured: probabilities then agree with the
 sum over all sets of six blocks to 0.002."""
@@ -33,7 +33,7 @@ sum over all sets of six blocks to 0.002."""
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """A model that was looked at: log of its posterior weight, and what it says."""
+    """A visited model: log of its posterior weight, and its posterior."""
 
     model: Model
     log_weight: float
@@ -42,7 +42,7 @@ class Visited:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """All kept models, the likeliest first, and the `evidence` that they were last expanded about."""
+    """All kept models, the likeliest first, and the last expansion of the data."""
 
     kept: tuple[Visited, ...]
     blocks: tuple[Block, ...]
@@ -62,11 +62,11 @@ class Answer:
         return tuple((raw / raw.sum()).tolist())
 
     def probability(self, *names: str) -> float:
-        """That at least one of these blocks is in."""
+        """Probability that the model has at least one of these blocks."""
         return math.fsum(w for w, v in zip(self.weights, self.kept, strict=True) if v.model.intersection(names))
 
     def rivals(self, name: str) -> dict[str, tuple[float, float]]:
-        """What stands in kept models in the place of `name`: probability, and by how many nats `name` is preferred."""
+        """Blocks that replace `name` in kept models: probability, and by how many nats `name` is preferred."""
         own = max((v.log_weight for v in self.kept if name in v.model), default=-math.inf)
         found: dict[str, tuple[float, float]] = {}
         for weight, one in zip(self.weights, self.kept, strict=True):
@@ -78,7 +78,7 @@ class Answer:
         return found
 
     def confusable(self, name: str, least: float) -> tuple[str, ...]:
-        """Every block that replaces `name` with a probability of `least` or more, likeliest first."""
+        """Blocks that replace `name` with a probability of `least` or more, likeliest first."""
         found = {k: p for k, (p, _) in self.rivals(name).items() if p >= least}
         return tuple(sorted(found, key=lambda k: -found[k]))
 
@@ -110,7 +110,7 @@ class _Search:
         return found
 
     def climb(self, start: Model, ended: Callable[[], bool]) -> Visited:
-        """From a model to one that no move makes likelier."""
+        """The model reached from `start` that no move makes likelier."""
         best = self.visit(start)
         while not ended():
             better = max((self.visit(m) for m in _moves(best.model, self.evidence.blocks)), key=lambda v: v.log_weight)
@@ -143,7 +143,7 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
     start
         The first model.
     ended
-        Whether time is up: the best so far is the answer.
+        True when time is up; the best model so far is then the answer.
     """
     found = _Search(evidence)
     best = found.climb(start, ended)
@@ -154,7 +154,7 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
         evidence = evidence.refined(best.model)
         found = _Search(evidence)
         best = max((found.climb(m, ended) for m in {best.model, frozenset[str]()}), key=lambda v: v.log_weight)
-        if _stands(before, best):
+        if _unchanged(before, best):
             break
     found.close(ended)
     best = max(found.seen.values(), key=lambda v: v.log_weight)
@@ -163,12 +163,12 @@ def search(evidence: Evidence, start: Model = frozenset(), ended: Callable[[], b
     return Answer(tuple(kept), evidence.blocks, evidence, len(found.seen))
 
 
-def _stands(before: Visited, now: Visited) -> bool:
-    """Whether a new expansion left the best model, and the amplitudes of its blocks, where they were."""
+def _unchanged(before: Visited, now: Visited) -> bool:
+    """Whether a new expansion gives the same best model, with equal amplitudes."""
     if before.model != now.model:
         return False
     found = ((before.posterior.of(name)[0], *now.posterior.of(name)) for name in now.model)
-    return all((np.abs(new - old) <= _STILL * np.sqrt(np.diag(spread))).all() for old, new, spread in found)
+    return all((np.abs(new - old) <= _MOST_CHANGE * np.sqrt(np.diag(spread))).all() for old, new, spread in found)
 
 
 def _moves(model: Model, blocks: tuple[Block, ...]) -> Iterator[Model]:

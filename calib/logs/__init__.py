@@ -20,7 +20,7 @@ _TABLE_STARTS = (b"PK\x03\x04", b"MATLAB", b"\x89HDF")
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
 _LOGS = {".ulg": read_ulog, ".bin": read_dataflash, ".log": read_dataflash_text}
-"""Readers of the logs that state everything themselves."""
+"""Readers of logs that need no options."""
 
 
 def read(path: Path | str, **options: Any) -> Recording:
@@ -37,7 +37,7 @@ def read(path: Path | str, **options: Any) -> Recording:
     Raises
     ------
     UnreadableError
-        If the file cannot be opened, is neither, or is damaged, or is no ordinary file: only these have an end.
+        If the file cannot be opened, is neither a log nor a table, is damaged, or is not a regular file.
     InvalidInputError
         If an option does not apply.
     """
@@ -63,7 +63,7 @@ def read(path: Path | str, **options: Any) -> Recording:
 
 
 def is_table(path: str | Path) -> bool:
-    """Whether the file at `path` is read as a table, to which mappings and units apply; False where it is not there."""
+    """Whether the file at `path` is read as a table, to which mappings and units apply; False if it does not exist."""
     file = Path(path)
     try:
         if not file.is_file():
@@ -90,7 +90,7 @@ def _kind(head: bytes, suffix: str) -> str:
 
 
 def _plain(file: Path, options: dict[str, Any]) -> Path:
-    """The same file, if no option is given that its format answers itself."""
+    """`file`, provided that no option is given that its format states itself."""
     given = [key for key in ("mapping", "rate", *_TLOG_OPTIONS) if options.get(key)]
     if given:
         raise InvalidInputError(f"{file.name} is a log, its fields are known: leave {', '.join(given)} out")

@@ -1,11 +1,11 @@
 """Reads columns of numbers from files of arrays, .npz and .mat.
 
-What an array says of itself is compared with what is there, and with what all of them will take, before any is read.
+Before any array is read, the declared sizes are compared with the file's content and with the memory limit.
 
-A MATLAB 5 file is read without native code: a chain of elements, each with its kind and its size. Cells, structures,
-sparse, complex and deeper arrays hold no table and are stepped over. ``scipy.io.loadmat`` (1.17.1) ends the process by
-SIGSEGV: on ``savemat(file, {"a": np.arange(9.0)})`` with 14 at byte 138 and 255 at byte 176, and on 16 of 2000 small
-files that were damaged at random.
+A MATLAB 5 file, a chain of elements with kind and size, is read without native code. Cells, structures, sparse, complex
+and deeper arrays are not tables and are skipped. ``scipy.io.loadmat`` (1.17.1) ends the process by SIGSEGV: on
+``savemat(file, {"a": np.arange(9.0)})`` with 14 at byte 138 and 255 at byte 176, and on 16 of 2000 small files that
+were damaged at random.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from mavcal.calib.errors import UnreadableError
 from mavcal.calib.logs.columns import Array, TableColumns
 
 MOST_UNFOLDED: Final = 1 << 26, 50
-"""Bytes that the columns of a file may take, plus this many times the size of the file."""
+"""Most bytes that the columns of a file may take, and the further bytes for each byte of the file."""
 TEXT_BYTES: Final = 64
-"""Bytes of a text beside its characters."""
+"""Bytes of a text in addition to its characters."""
 PLAIN_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""How ``numpy.savez`` packs; the others unfold without a bound on a single step."""
+"""Compression methods of ``numpy.savez``; others decompress without a bound on a single step."""
 HEADER: Final = 128
 VERSION_73: Final = 0x0200
 COMPRESSED, MATRIX, INT8, INT32, UINT32, UTF8 = 15, 14, 1, 5, 6, 16
@@ -103,7 +103,7 @@ def npz_columns(path: Path) -> TableColumns:
 
 
 def mat_columns(path: Path) -> TableColumns:
-    """The arrays of a MATLAB file, in the same manner as :func:`npz_columns`.
+    """The arrays of a MATLAB file, named as by :func:`npz_columns`.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def _from_arrays(arrays: Mapping[str, _Stored]) -> TableColumns:
 
 
 def _seconds(column: NDArray[Any]) -> Array:
-    """Dates and durations as s from the first on, nan where there is none."""
+    """Dates and durations as seconds since the first one, nan where there is none."""
     fine = np.datetime_data(column.dtype)[0] in {"ns", "ps", "fs", "as"}
     column = column.astype(f"{column.dtype.kind}8[{'ns' if fine else 'us'}]")
     there = ~np.isnat(column)
@@ -206,14 +206,14 @@ def _array_name(name: str, column: int, width: int) -> str:
 
 
 def matlab_arrays(data: memoryview, unfolded: Unfolded) -> dict[str, NDArray[Any]]:
-    """Name and array of every real matrix of numbers, and of texts one a row.
+    """Name and array of every real numeric matrix, and of every matrix with one text a row.
 
     Parameters
     ----------
     data
         The file.
     unfolded
-        Is told how many bytes the file has unfolded to so far, and raises if they are too many.
+        Called with the number of bytes decompressed so far; raises if they are too many.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def matlab_arrays(data: memoryview, unfolded: Unfolded) -> dict[str, NDArray[Any
 
 
 def _elements(data: memoryview, order: str, *, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of one element after the other; `packed`: none is filled up to 8 bytes if compressed."""
+    """Kind and content of each element; `packed`: compressed elements are not padded to 8 bytes."""
     place = 0
     while place + 8 <= len(data):
         word, size = struct.unpack_from(f"{order}II", data, place)
@@ -283,7 +283,7 @@ def _unpacked(body: memoryview, before: int, unfolded: Unfolded) -> memoryview:
 
 
 def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any]] | None:
-    """Name and array; None if it is of a class that holds no table."""
+    """Name and array; None for a class that cannot be a table."""
     parts = _elements(body, order)
     flags = _part(parts, {UINT32}, "its class")
     if len(flags) < 8:
@@ -317,7 +317,7 @@ def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any]] | None:
 
 
 def _texts(name: str, text: str, shape: list[int]) -> tuple[str, NDArray[Any]] | None:
-    """The rows of a matrix of characters, which lie in it column by column."""
+    """The rows of a character matrix, which is stored column by column."""
     rows, width = shape
     if rows * width != len(text):
         return None

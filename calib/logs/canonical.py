@@ -37,7 +37,7 @@ REFERENCE_SI = {
     Sensor.PLACE: "m",
     Sensor.VELOCITY: "m/s",
 }
-"""Units of the ``ref_*`` columns, in which they are read and written whatever the sensors' own columns are in."""
+"""Units of the ``ref_*`` columns, whatever the units of the sensors' own columns."""
 FLIGHT: Mapping[Sensor, tuple[tuple[str, ...], str]] = {
     Sensor.VELOCITY: (("vel_n", "vel_e", "vel_d"), "m/s"),
     Sensor.ATTITUDE: (("q_w", "q_x", "q_y", "q_z"), "1"),
@@ -45,7 +45,7 @@ FLIGHT: Mapping[Sensor, tuple[tuple[str, ...], str]] = {
     Sensor.HEIGHT: (("height",), "m"),
     Sensor.AIR: (("pressure", "air_temperature"), "Pa degC"),
 }
-"""Columns of what a vehicle knows of its own flight, and their units; the attitude is a sensor's column too."""
+"""Columns of the vehicle's own flight data, and their units; the attitude is also a sensor column."""
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
 CANONICAL = re.compile(
@@ -60,7 +60,7 @@ FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 
 
 def column_names(sensor: Sensor, number: str, width: int) -> tuple[str, ...]:
-    """Names of the `width` columns of a sensor; `number` stands behind the names of the second instance and on."""
+    """Names of the `width` columns of a sensor; `number` is the suffix of the second and later instances."""
     if sensor in TRIADS:
         return tuple(f"{sensor}{number}_{axis}" for axis in "xyz")
     if sensor in SINGLE:
@@ -71,12 +71,12 @@ def column_names(sensor: Sensor, number: str, width: int) -> tuple[str, ...]:
 
 
 def numbered_prefix(sensor: Sensor) -> str:
-    """How the columns of the motors begin, before their numbers."""
+    """Prefix of the numbered columns of motors or rotors."""
     return "motor_" if sensor == Sensor.MOTOR else "rotor_hz_"
 
 
 def reference_names(sensor: Sensor) -> tuple[str, ...]:
-    """Names of the columns of a reference channel; empty for a sensor that has none."""
+    """Names of the columns of a reference channel; empty for a sensor without reference columns."""
     if sensor not in REFERENCE_SI:
         return ()
     stem = _REFERENCE_STEMS.get(sensor, sensor.value)

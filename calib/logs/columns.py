@@ -102,7 +102,7 @@ def text_columns(data: bytes) -> TableColumns:
 
 
 def _sampled(filled: list[int]) -> list[int]:
-    """Lines from the beginning and from the middle, where a preamble no longer counts."""
+    """Sample of lines from the beginning and from the middle, which is beyond any preamble."""
     middle = len(filled) // 2
     return filled[: _SAMPLE // 2] + filled[middle : middle + _SAMPLE // 2]
 
@@ -136,7 +136,7 @@ def _is_data(cells: list[str]) -> bool:
 
 
 def _number(cell: str) -> float | None:
-    """The number in a cell, nan if it says that there is none; None if it is empty or a text."""
+    """The number in a cell, nan for a missing-value marker; None if the cell is empty or a text."""
     if cell.lower() in _MISSING:
         return np.nan
     try:

@@ -1,4 +1,4 @@
-"""Samples that a log holds and no sensor measured: zeros of a dead sensor, and times that go back or stand still."""
+"""Removal of samples that no sensor measured: zeros of a dead sensor, and times that go back or stand still."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Sensor
 
 _NEVER_ZERO: Final = (Sensor.ACCEL, Sensor.MAG)
-"""A gyroscope may read 0, 0, 0 at rest."""
+"""Sensors that never read exactly 0, 0, 0; a gyroscope at rest may."""
 
 
 def without_zeros(channel: Channel, events: list[Event]) -> Channel:
@@ -38,9 +38,9 @@ def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:
     Parameters
     ----------
     channel
-        As logged. A stamp that was damaged, early or late, costs only itself.
+        As logged. A damaged time stamp, early or late, removes only its own sample.
     latest
-        Times that are not finite, negative or beyond this (s) are damaged in any case.
+        Times that are not finite, negative or beyond this (s) are always damaged.
     """
     possible = np.isfinite(channel.t) & (channel.t >= 0.0) & (channel.t <= latest)
     if possible.all() and not (np.diff(channel.t) < 0.0).any():
@@ -51,11 +51,11 @@ def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:
 
 
 MOST_AT_ONCE = 32
-"""Samples that a clock of whole milliseconds may stamp alike; where more are, it stood still."""
+"""Most samples with the same stamp of a millisecond clock; with more, the clock had stopped."""
 
 
 def moving(t: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the times (N,), in order, are of a clock that goes on: the first alone of those in which it stood."""
+    """Mask of the ordered times (N,) at which the clock ran; of a run of equal times only the first."""
     first = np.ones(len(t), dtype=np.bool_)
     first[1:] = t[1:] != t[:-1]
     runs = np.diff(np.append(np.flatnonzero(first), len(t)))

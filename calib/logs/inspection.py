@@ -16,10 +16,10 @@ GAP_PERIODS = 5.0
 """A pause this many median periods long counts as a gap."""
 STUCK_S = 1.0
 STUCK_PERIODS = 10.0
-"""A value that stays the same this long, s and median periods, in a channel that otherwise changes, is stuck."""
+"""Time, s, and median periods for which a constant value in a changing channel counts as stuck."""
 PAUSE_S = 1.0
 PAUSE_PERIODS = 20.0
-"""The log pauses where nothing at all was recorded for so long, s and median periods of its densest channel."""
+"""Time, s, and median periods of the densest channel, without any sample that count as a pause of the log."""
 MOST_GAPS_LISTED = 20
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 COUNTED = ("reboot", "gap", "drop", "clipping", "damage", "left_out")
@@ -102,7 +102,7 @@ def summarise(channel: Channel) -> ChannelSummary:
 
 
 def pauses(recording: Recording) -> tuple[Gap, ...]:
-    """Where the recording itself stood still: no channel has a sample there. Many vehicles log while armed only."""
+    """Pauses of the whole recording: no channel has a sample there. Many vehicles log only while armed."""
     densest = max(recording.channels, key=len, default=None)
     period = _period(densest.t)[0] if densest is not None and len(densest) > 1 else None
     if densest is None or period is None:
@@ -206,7 +206,7 @@ def _norm(channel: Channel) -> tuple[float, float] | None:
 
 
 def _period(t: Array) -> tuple[float | None, int]:
-    """Median step forward, s (None: time never goes on), and how often time goes back."""
+    """Median positive step, s (None: time never advances), and how often time goes back."""
     steps = np.diff(t)
     backward = int((steps < 0).sum())
     if not (steps > 0).all():
@@ -223,7 +223,7 @@ def _same(values: Array) -> NDArray[np.bool_]:
 
 
 def constant_run(channel: Channel) -> Gap | None:
-    """The longest time over which consecutive samples are equal; None: no two are."""
+    """The longest span of equal consecutive samples; None: no two are equal."""
     return _longest_run(channel.t, _same(channel.values), _period(channel.t)[0])
 
 

@@ -11,11 +11,11 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Recording, Segment, join
 
 PAUSE = 1.0
-"""Seconds between two parts: what was recorded apart does not follow on."""
+"""Pause, s, inserted between two parts, so that they are not taken as continuous."""
 
 
 def of_parts(parts: Sequence[tuple[str, Recording]]) -> Recording:
-    """One recording of `parts`, each with the label of what was held or turned meanwhile.
+    """One recording of `parts`, each with the label of its pose or turn.
 
     Times are shifted so that the parts follow each other; segments that a part had of its own are dropped.
 

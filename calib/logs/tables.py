@@ -45,9 +45,9 @@ from mavcal.calib.recording import Array, Channel, Event, Recording, Rounding, S
 MOST_BYTES = 1 << 31
 """Size of the largest table that is read."""
 LARGEST = 1e15
-"""No column holds more in any unit; counts of 32 bits and nanoseconds of a day do not reach it."""
+"""Largest plausible value in any unit, above 32-bit counts and the nanoseconds of a day."""
 NO_TIME = "no_time"
-"""Kind of the event that says that rows were counted because the table has no time."""
+"""Kind of the event for a table without time, whose rows were counted."""
 
 
 def read_table(
@@ -66,7 +66,7 @@ def read_table(
     Parameters
     ----------
     path
-        The file; what it is shows from its content.
+        The file; its kind is recognised from its content.
     mapping
         Canonical name to column, by header name or 0-based number, with an optional factor:
         ``{"accel_x": "ax*9.80665"}``; ``{"accel": "acc"}`` names the columns acc_0, acc_1, acc_2 of one array.
@@ -74,7 +74,7 @@ def read_table(
         Frames of the attitudes and of the vectors in the file; the recording is north-east-down and
         forward-right-down. ``ref_pos`` and ``ref_vel`` are named by their axes and not turned.
     rate
-        Samples a second where the table has no ``t``; None: rows are counted, one a second.
+        Samples per second where the table has no ``t``; None: one row counts as one second.
     unit_accel, unit_gyro, unit_mag
         Units of the columns, after the mapping's factors: keys of :data:`UNITS`.
 
@@ -313,7 +313,7 @@ def _damage(name: str, columns: TableColumns, index: int) -> str:
 
 
 def _bounded(name: str, cells: dict[str, Array]) -> str:
-    """Leaves out what no column can hold, and says so; empty if there is no such number."""
+    """Remove implausible numbers from `cells`; returns a text about them, empty if there are none."""
     with np.errstate(invalid="ignore"):
         wild = np.abs(cells[name]) > LARGEST
     if name == "segment" or not wild.any():
@@ -326,7 +326,7 @@ def _bounded(name: str, cells: dict[str, Array]) -> str:
 
 
 def _dated(columns: TableColumns, index: int) -> Array | None:
-    """Dates of a column of texts as s from the first on; None: its cells are no dates."""
+    """Dates of a text column as seconds since the first one; None: its cells are not dates."""
     texts = columns.texts.get(index)
     if texts is None:
         return None
@@ -419,7 +419,7 @@ def _channel(
 
 
 def _samples(table: _Table, names: tuple[str, ...], t: Array) -> tuple[Array, Array]:
-    """The rows in which all of the columns hold a number, and their times."""
+    """The rows with a number in all of the columns, and their times."""
     missing = [name for name in names if name not in table.cells]
     if missing:
         raise UnreadableError(f"{', '.join(names)} are needed together; {', '.join(missing)} is missing")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 HEARTBEAT: Final = dialect.MAVLINK_MSG_ID_HEARTBEAT
 LEAST_MESSAGES: Final = 50
-"""Messages of zeros that tell of a dead sensor."""
+"""Least number of messages with only zeros that show a dead sensor."""
 INERTIAL_IDS: Final = frozenset(INERTIAL["ardupilot"])
 
 Vehicle = tuple[int, int]
@@ -43,7 +43,7 @@ def read_tlog(
     start, end
         Byte range of a segment; damaged or cut records are stepped over. None: to the end of the file.
     system
-        MAVLink system id of the vehicle; None: the one with most inertial frames.
+        MAVLink system id of the vehicle; None: the one with the most inertial frames.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def _content(path_or_bytes: Path | str | bytes | memoryview) -> tuple[str, bytes
 
 
 def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
-    """The vehicle whose recording it is: it must have said who it is, in a HEARTBEAT of its autopilot."""
+    """The recorded vehicle: it must have identified itself by a HEARTBEAT of its autopilot."""
     autopilots: dict[Vehicle, str] = {}
     inertial: Counter[Vehicle] = Counter()
     for frame in frames:
@@ -113,7 +113,7 @@ def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
 
 
 def _first_state(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
-    """Whether the vehicle was armed when it was first heard; the changes are events already."""
+    """Event with the arming state when the vehicle was first heard; later changes are events already."""
     identity = recording.identity
     for _, frame in frames:
         if frame.message_id == HEARTBEAT and (frame.system, frame.component) == (identity.system, identity.component):
@@ -127,9 +127,9 @@ def _first_state(frames: list[tuple[int | None, Frame]], recording: Recording) -
 
 
 def _zeros(frames: list[tuple[int | None, Frame]], recording: Recording) -> list[Event]:
-    """Inertial units that the parameters announce, and whose messages held nothing but zeros.
+    """Inertial units that the parameters announce, and whose messages contain only zeros.
 
-    Others are not there: a message carries zeros for an inertial unit beside which only a compass is.
+    Other units are absent: a message has zeros for them if the instance has only a compass.
     """
     identity, parameters = recording.identity, recording.parameters.final()
     if identity.autopilot != "ardupilot":

@@ -22,22 +22,22 @@ MAGIC: Final = b"ULog\x01\x12\x35"
 ENCRYPTED: Final = b"ULogEnc"
 MOST_FIELDS: Final = 4096
 MOST_DEPTH: Final = 6
-"""Fields of one topic, and formats inside formats: beyond these a definition is damaged."""
+"""Most fields of one topic, and deepest nesting of formats; beyond these a definition is damaged."""
 LONGEST_S: Final = 30 * 86400.0
-"""A stamp so long after the first one is damaged."""
+"""Longest time, s, from the first time stamp; later ones are damaged."""
 RELEASE_SHIFTS: Final = (24, 16, 8)
 """Major, minor and patch in ``ver_sw_release``; the lowest byte is the kind of release."""
 
 READS_A_BYTE: Final = 2, 10_000
 TAKEN_A_BYTE: Final = 256, 1 << 32
-"""Reads, and bytes read, that the parser may need for each byte of a file, and for any file. It reads twice a message;
-what it cannot make out it passes byte by byte, each time with the length that it finds there."""
+"""Most reads, and bytes read, by the parser: for each byte of a file, and for any file. It reads twice for each
+message. It skips unreadable data byte by byte, each time reading the length that it finds there."""
 
 pyulog.core.print = lambda *_args, **_more: None  # it reports damage on stdout, which is the answer's
 
 
 class _Bounded(ULog):  # type: ignore[misc]
-    """pyulog's parser, safe from formats that contain themselves or unfold without end."""
+    """pyulog's parser, protected against formats that contain themselves or expand without end."""
 
     class _MessageAddLogged(ULog._MessageAddLogged):  # type: ignore[misc]
         def _parse_nested_type(self, prefix_str: str, type_name: str, message_formats: Any) -> None:
@@ -50,9 +50,9 @@ class _Bounded(ULog):  # type: ignore[misc]
 
 
 class _Metered:
-    """A file whose reader is stopped once it goes round in circles.
+    """A file that stops a reader caught in a loop.
 
-    The length of a damaged message can lead pyulog back to where it was, for ever.
+    The length field of a damaged message can lead pyulog back to the same place for ever.
     """
 
     def __init__(self, opened: BinaryIO, size: int) -> None:
@@ -79,8 +79,9 @@ def read_ulog(path: Path | str) -> Recording:
     Returns
     -------
     Recording
-        Times are seconds since boot. The parameters are those of the header with their changes; `end_observed` unless
-        the log lost data, and a change with it. Damage, drops, clipping and what was left out are events.
+        Times are seconds since boot. The parameters are those of the header with their changes; `end_observed` is True
+        unless the log lost data, and possibly a change with it. Damage, drops, clipping and what was left out are
+        events.
 
     Raises
     ------

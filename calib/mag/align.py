@@ -1,8 +1,8 @@
 """Magnetometer against accelerometer: offset, full matrix and mounting from turning in all directions (METHODS 3.2).
 
-An ellipsoid leaves a rotation open; the angle between field and vertical, which is the same in every attitude, closes
-it. Both sensors' noise counts (:mod:`calib.mag.align_solve`). The accelerometer must be calibrated: its errors are
-taken for noise of the vertical.
+An ellipsoid leaves a rotation undetermined; the angle between field and vertical, equal in every attitude, determines
+it. Both sensors' noise counts (:mod:`calib.mag.align_solve`). The accelerometer must be calibrated: its errors count as
+noise of the vertical.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from mavcal.calib.triad import Array, TriadModel
 METHOD = "mag-align"
 
 FEWEST = 30
-"""Samples below which nothing is said."""
+"""Least number of samples."""
 
 _ROUGHEST = 0.15  # of the field, residuals from which on nothing is explained
 _TRIMS = 5
@@ -89,7 +89,7 @@ class AlignFit:
     centre: Array
     scale: float
     information: Array
-    """(13, 13), weakened by what is correlated in time and by an unknown lag."""
+    """(13, 13), reduced for serial correlation and for an unknown lag."""
     variance_inflation: float
     down: Array
     lag: FieldLag | None
@@ -152,19 +152,19 @@ def fit_alignment(
     samples : shape (N, 3)
         N >= 30 in different directions, in order of time.
     vertical
-        What shows which way is down.
+        Sensor that shows the vertical.
     gate
         Departure of the specific force from gravity, relative, up to which it counts as the vertical.
     time_offset
-        By how much the magnetometer is later than the accelerometer, s. None: tested, and taken out where it is sure.
+        Delay of the magnetometer against the accelerometer, s. None: estimated, and removed if significant.
     **facts
         Known facts of sensor and field, as in :class:`calib.mag.result.MagContext`.
 
     Returns
     -------
     FitResult
-        Refused, with the movement that is missing, where the data leave part of it open. ``quality`` has the dip, the
-        mounting angle, both noises and the time offset, each with its standard deviation.
+        Refused, with the missing movement, where part of it is undetermined. ``quality`` has the dip, the mounting
+        angle, both noises and the time offset, each with its standard deviation.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def _check(t: Array, samples: Array, vertical: Vertical, gate: float, time_offse
 def _aligned(
     t: Array, samples: Array, vertical: Vertical, gate: float, time_offset: float | None, context: MagContext
 ) -> AlignFit:
-    """The fit, with the lag that is stated, or found and sure."""
+    """The fit with the stated lag, or with a significant estimated one."""
     shift = time_offset or 0.0
     fit = _at_lag(t, samples, vertical, gate, shift, context, search=time_offset is None)
     for _ in range(_SHIFTS):
@@ -262,7 +262,7 @@ def _at_lag(
 def _without_outliers(
     field: Array, down: Array, scale: float, least: AlignmentNoise
 ) -> tuple[AlignmentSolution, NDArray[np.bool_]]:
-    """The alignment without samples beyond six standard deviations of the others, and which ones it is of.
+    """The alignment without samples beyond six standard deviations of the others, and the mask of those used.
 
     Raises
     ------
@@ -301,7 +301,7 @@ def _near(residuals: Array) -> NDArray[np.bool_]:
 
 
 def _information(alignment: AlignmentSolution, lag: FieldLag | None) -> tuple[Array, float]:
-    """Information (13, 13) on the unknowns, less what is correlated in time and what an unknown lag takes."""
+    """Information (13, 13) on the unknowns, reduced for serial correlation and for an unknown lag."""
     rows = alignment.rows if lag is None else np.concatenate([alignment.rows, lag.column[:, :, None]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])
     size = np.sqrt((flat**2).sum(axis=0))
@@ -319,7 +319,7 @@ def _result(fit: AlignFit, context: MagContext, n_samples: int) -> FitResult:
     Raises
     ------
     UndeterminedError
-        If the data leave part of it open, naming the movement or the place that would not.
+        If the data leave part of it undetermined; names the necessary movement or place.
     """
     noise = math.hypot(fit.noise_sd / fit.radius, fit.alignment.noise.vertical)
     if noise > _ROUGHEST:

@@ -65,7 +65,7 @@ class AlignmentSolution:
     rows: Array
     """(N, 2, 13): derivatives of the whitened residuals."""
     residuals: Array
-    """(N, 2): what the conditions leave, in standard deviations and uncorrelated."""
+    """(N, 2): whitened residuals of the conditions."""
     noise: AlignmentNoise
     corrected: Array
     """(N, 3): ``B (y - b)`` of the projected observations."""
@@ -90,9 +90,9 @@ def align(
     start : shape (13,)
         Unknowns to begin with.
     noise
-        None: estimated, from what either condition leaves.
+        None: estimated from the residuals of both conditions.
     least
-        Smallest noise that is believed: that of quantisation.
+        Lower limit of the noise: that of quantisation.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Both conditions of every sample about a state, and what makes up their variances."""
+    """Both conditions of every sample, linearised about a state, and the terms of their variances."""
 
     state: _State
     observed: _State
@@ -185,7 +185,7 @@ class _Linear:
         return rows
 
     def whitening(self, pairs: Array) -> Array:
-        """`pairs` (N, 2) of what belongs to the two conditions, uncorrelated and of variance one."""
+        """`pairs` (N, 2) of the two conditions, whitened."""
         first, both, _ = self.variance
         white = np.empty_like(pairs)
         white[:, 0] = pairs[:, 0] / np.sqrt(first)
@@ -230,7 +230,7 @@ class _Linear:
         return np.stack([of_length, of_sine], axis=1)
 
     def projected(self, step: Array, noise: AlignmentNoise) -> _State:
-        """The next state: unknowns moved by `step`, observations moved onto the conditions with the least effort."""
+        """The next state: unknowns moved by `step`, observations projected onto the conditions."""
         left = self.moved(step)
         first, both, second = self.variance
         determinant = first * second - both**2
@@ -268,9 +268,9 @@ def _linearised(state: _State, field: Array, down: Array, noise: AlignmentNoise)
 
 
 def _estimated(linear: _Linear, least: AlignmentNoise) -> AlignmentNoise:
-    """Noise of the field from the first condition, which the vertical has no part in; the rest of the second is its.
+    """Noise of the field, from the first condition alone, and of the vertical, from the rest of the second.
 
-    Nine of the unknowns are seen by the first condition, four by the second alone.
+    The first condition determines nine of the unknowns, the second alone four.
     """
     first, both, second = linear.products.T
     of_field = float((linear.misclosure[:, 0] ** 2 / first).sum()) / max(len(first) - 9, 1)
@@ -308,7 +308,7 @@ def linear_start(field: Array, down: Array) -> Array:
     Raises
     ------
     UndeterminedError
-        If it leaves more than the scale open.
+        If it leaves more than the scale undetermined.
     """
     rows = np.empty((len(field), N_UNKNOWNS))
     rows[:, :9] = (down[:, :, None] * field[:, None, :]).reshape(-1, 9)
@@ -326,7 +326,7 @@ def linear_start(field: Array, down: Array) -> Array:
 def two_stage_start(field: Array, down: Array, scale: float) -> Array:
     """Unknowns (13,) from the ellipsoid of `field`, outliers withstood, and the rotation that fits `down` to it.
 
-    `scale` is the unit of `field` in that of the samples: what is said of them is said in their own.
+    `scale` is the unit of `field` in that of the samples, in which messages are worded.
 
     Raises
     ------

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 
 CORRECTABLE = 0.02
-"""Shrinkage up to which blur is computed back; beyond (7 rad/s at 100 ms) the angle within the window is not known well
+"""Largest shrinkage whose blur is corrected; beyond (7 rad/s at 100 ms) the angle within the window is not known well
 enough."""
 
 _AS_STATED = math.radians(10.0)
-"""Angle within which axes count as the stated ones: that mixes the blur of two axes by a sixth, and blur is small."""
+"""Angle within which axes count as stated: it mixes the blur of two axes by a sixth, and blur is small."""
 
 _KNOWN_TO = 0.1  # rad, standard deviation up to which the axes found are believed
 _EXPLAINED = 0.3  # of the change of the field, rms, that the turn may leave
@@ -54,13 +54,13 @@ class Rates:
     scatter : shape (N, 3, 3)
         C of the module's equation, rad^2; 0 where not known.
     drift : shape (N, 3, 3)
-        By how much C is larger if the compass's time stamps are late, rad^2 per second.
+        Increase of C per second of delay of the compass's time stamps, rad^2/s.
     known : shape (N,)
         Whether the gyro covers the window.
     window
         Length of the window, s.
     interval
-        Between samples of the gyro, s: the messages that carry them carry the compass as well.
+        Interval of the gyro samples, s, whose messages also carry the compass.
     """
 
     ends: Array
@@ -109,7 +109,7 @@ class Rates:
         return late.turned(axes)
 
     def followed_by(self, *others: Rates) -> Rates:
-        """Both lists joined, `others` behind."""
+        """These rates followed by `others`."""
         parts = (self, *others)
         return Rates(
             np.concatenate([p.ends for p in parts]),
@@ -132,9 +132,9 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
     gyro_t : shape (M,)
         Times of the gyro's samples on the same clock, increasing.
     gyro : shape (M, 3)
-        rad/s. A bias of 0.01 rad/s is no matter here.
+        rad/s. A bias of 0.01 rad/s does not matter here.
     window
-        What the compass averages over, s; 0: it does not.
+        Averaging window of the compass, s; 0: none.
 
     Raises
     ------
@@ -170,9 +170,9 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
 def _scatters(
     angle: CubicHermiteSpline, ends: Array, window: float, span: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
-    """C (N, 3, 3) over the windows that end at `ends`, if they are late by _STEP, by nothing, and early by it.
+    """C (N, 3, 3) over the windows that end at `ends`, for stamps late by _STEP, on time, and early by it.
 
-    Beyond the gyro's samples the body is taken to rest.
+    Beyond the gyro's samples the body is assumed at rest.
     """
     instants = (np.arange(_INSTANTS) + 0.5) / _INSTANTS * window
     found = np.empty((3, len(ends), 3, 3))
@@ -207,8 +207,8 @@ def _shrinkage(scatter: Array) -> Array:
 def deblurred(samples: ArrayLike, rates: Rates, model: TriadModel) -> Array:
     """`samples` (N, 3) as they would read without motion, given a `model` of the sensor up to a common scale.
 
-    ``y = b + S u`` with u the field, hence ``S^-1 (mean - b) = (I + g (C - tr(C) I)) u``. The rates are in the axes
-    that the model leads to.
+    ``y = b + S u`` with u the field, hence ``S^-1 (mean - b) = (I + g (C - tr(C) I)) u``. The rates are in the axes of
+    the corrected field.
     """
     array = np.asarray(samples, dtype=np.float64)
     total = np.trace(rates.scatter, axis1=1, axis2=2)

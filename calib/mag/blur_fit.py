@@ -1,7 +1,7 @@
 """Ellipsoid of a compass that averages while it turns, with the uncertainty of the averaging.
 
-The blur of a window is computed back from the gyro (:mod:`calib.mag.blur`). Some of it is not known, and for a nearly
-noise-free compass that is all that limits it:
+The blur of a window is corrected from the gyro (:mod:`calib.mag.blur`). Parts of it are uncertain, and they alone limit
+a nearly noise-free compass:
 
 * how strong it is (the window is only about as long as stated, and the mean of n readings blurs by ``1 - 1/n^2`` of
   what the mean of all would), one factor for all samples;
@@ -11,8 +11,8 @@ noise-free compass that is all that limits it:
 * strength and lag once more for every sample: a reading is up to one message older than its stamp says, and the
   window holds one of its readings more or less.
 
-The first three are estimated along with the ellipsoid, under priors. What the data leave open of them is part of the
-covariance. The last makes samples of uneven turns worse than others: by how much, the residuals say.
+The first three are estimated with the ellipsoid, under priors; their remaining uncertainty is part of the covariance.
+The last makes samples of uneven turns less accurate, by an amount that the residuals show.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from mavcal.calib.mag.shape import MagModel, correction
 from mavcal.calib.mag.shape_fit import SOFT_IRON_SD, Asked
 
 GAIN_SD = 0.03
-"""Relative, of the strength of the blur: 1 % for the mean of ten readings, and a window that is known to 1.5 %, whose
-square counts."""
+"""Relative standard deviation of the blur's strength: 1 % for the mean of ten readings, and a window known to 1.5 %,
+which enters squared."""
 
 LAG_SD = 0.01
 """Prior of the lag, s. A 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms. An interval of
@@ -50,8 +50,8 @@ SCALE_SD, ASKEW_SD = 0.01, 0.02
 compass's, rad: a sensor is soldered or stuck square to a degree."""
 
 _WINDOW_SD = 2.0 / (10.0 * math.sqrt(12.0))
-"""Relative, of the blur of one sample: one of about ten readings more or less, evenly, makes the window that much
-longer or shorter, and blur goes with its square."""
+"""Relative standard deviation of one sample's blur: one of about ten readings more or less changes the window, and blur
+is proportional to its square."""
 
 _ROUNDS = 2  # the model that the correction needs is itself better after one, and so is what is known of the blur
 _STEPS = np.array([0.1, 0.005, *[0.03] * 9])  # of gain, lag and the nine numbers of the axes, for derivatives
@@ -68,11 +68,11 @@ class _Timing:
     """Estimate of the blur, and its effect on the ellipsoid."""
 
     state: Array
-    """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
+    """Gain, lag, and the difference of the gyro's axes from the compass's, row by row, (11,)."""
     from_timing: Array
-    """Covariance (9, 9) of the ellipsoid's numbers that comes from what is not known of them."""
+    """Covariance (9, 9) of the ellipsoid's parameters from the uncertainty of the state."""
     precision: Array | None = None
-    """Precision of the samples; None: they are alike."""
+    """Precision of the samples; None: all equal."""
     least_variance: float = 0.0
     """Variance of the residual of a sample with precision one; only where they are not alike."""
 
@@ -86,14 +86,14 @@ def fit_ellipsoid_deblurred(
     prior_sd: float | None = None,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
-    """Fit the ellipsoid to samples whose motion blur is computed back; too fast ones and repeats are left out.
+    """Fit the ellipsoid to samples corrected for motion blur, without too fast ones and repeats.
 
     Parameters
     ----------
     samples : shape (N, 3)
         In order of time.
     rates
-        Of the same N samples, in any axes: how the gyro's lie to the compass's is found from the turning itself.
+        Of the same N samples, in any axes: the rotation from gyro to compass axes is estimated from the turning.
     model, robust, prior_sd, **facts
         As for :func:`calib.mag.ellipsoid.fit_ellipsoid`.
     """
@@ -139,7 +139,7 @@ def fit_ellipsoid_deblurred(
 def _still_means(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
     """Means over stretches in which the field stayed within its `step`, and the equivalent count of each.
 
-    The samples as they are, and None, where it always did.
+    The unchanged samples and None if it always did.
     """
     if step == 0.0 or len(kept) < 2:
         return kept, slow, None
@@ -200,13 +200,13 @@ def _precision(distances: Array, doubt: Array, readings_worth: Array) -> tuple[A
     """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
     The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v and c; c is at least
-    one. That some residuals are small does not make their blur better known than it can be.
+    one. Small residuals do not make the blur more certain than it can be.
     """
     squares = doubt**2
     typical = float(np.mean(squares))
     if not typical > 0.0:
         return np.sqrt(readings_worth), 0.0
-    # Far off is only what neither the noise of all nor the doubt of its own explains.
+    # A sample is far off only if neither the common noise nor its own uncertainty explains it.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
 
     from scipy.optimize import minimize_scalar  # 11 MB that an idle service does without

@@ -1,8 +1,8 @@
 """Coverage of a live calibration: information, predicted heading error, and where to turn next.
 
-Eighty sections of the sphere, every face of an icosahedron cut into four, say where the field was seen, as coverage
-masks of MAVLink have them. A direction belongs to the section whose centre is nearest. The numbering is our own: draw
-with :data:`CENTRES`.
+Visited directions of the field are recorded in eighty sections of the sphere, like MAVLink's coverage masks: every face
+of an icosahedron divided into four. A direction belongs to the section whose centre is nearest. The numbering is our
+own: draw with :data:`CENTRES`.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def mask_bytes(seen: NDArray[np.bool_]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """The turn that improves the heading most."""
+    """The turn that reduces the heading error most."""
 
     direction: tuple[float, float, float]
     """Body direction (unit vector, FRD) to point down; then turn a full circle about the vertical."""
@@ -141,8 +141,8 @@ class Coverage:
     def heading_sd_deg(self, relative_noise: float, inclination: float) -> float:
         """Predicted heading error (degrees, worst heading and tilt) at a dip of `inclination` (rad).
 
-        `relative_noise` is the noise of one axis over the field strength. Without movement the answer is what is known
-        of any compass, some tens of degrees, never infinite.
+        `relative_noise` is the noise of one axis over the field strength. Without movement it is that of any compass by
+        the prior, some tens of degrees, never infinite.
         """
         return _predicted(self.information, relative_noise, inclination)
 

@@ -20,7 +20,7 @@ TUKEY = 4.685
 MAX_STEPS = 60
 ALL_SIDES = "turn the vehicle so that every side points up and down once"
 LARGE = 50_000
-"""From this many samples on the iteration ends within 3 % of a standard deviation: one pass after a good start."""
+"""Number of samples above which the iteration stops within 3 % of a standard deviation: one pass after a good start."""
 
 _FOOT_STEPS = 40
 _EXACTLY = 1e-7  # of a half axis squared, the last step to a foot point: what is left is its square, times the flatness
@@ -42,15 +42,15 @@ class Pass:
     cost: float
     """Sum of the losses of the residuals, in the unit of the samples squared."""
     residuals: Array
-    """Debiased distances, (N,), positive outside; over their relative noise, where the samples are not alike."""
+    """Debiased distances, (N,), positive outside; divided by their relative noise if the samples differ in it."""
 
 
 def foot_points(points: Array, axes: Array, accuracy: float = 1e-7) -> tuple[Array, Array]:
     """Multiplier t (N,) and ``w = x / axes^2`` (3, N) of `points` (3, N) in the eigenframe of an ellipsoid.
 
     Newton on ``g(t)^-1/2 - 1`` with ``g = sum (a_i p_i/(t + a_i^2))^2``: exact in one step on a sphere. The first step,
-    from t = 0, is two sums over squares. It ends with a step below `accuracy` of the largest half axis squared; what is
-    left is of the order of the square of that.
+    from t = 0, is two sums over squares. It ends with a step below `accuracy` of the largest half axis squared; the
+    remaining error is of the order of its square.
     """
     squares = (axes**2)[:, None]
     terms = points * points
@@ -92,7 +92,7 @@ class Distances:
         return len(self.cloud)
 
     def at(self, ellipsoid: Ellipsoid, noise_variance: float, tukey_scale: float | None) -> Pass:
-        """One pass; `noise_variance` is taken for the bias of the distance, `tukey_scale` for robust weights."""
+        """One pass; `noise_variance` corrects the bias of the distance, `tukey_scale` sets robust weights."""
         axes, frame = np.linalg.eigh(ellipsoid.shape)
         total = np.zeros((N_PARAMETERS + 1, N_PARAMETERS + 1))
         cost = 0.0
@@ -232,7 +232,7 @@ def gauss_newton(
     Raises
     ------
     UndeterminedError
-        If the iteration leaves for a degenerate ellipsoid or does not settle.
+        If the iteration diverges to a degenerate ellipsoid or does not converge.
     """
     ellipsoid, variance = start, noise_variance
     origin, step = start, np.zeros(N_PARAMETERS)

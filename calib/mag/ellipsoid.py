@@ -1,7 +1,7 @@
 """Full ellipsoid: offset and symmetric matrix by orthogonal distance, with covariance.
 
-Adjusted least squares give the start in one pass, a debiased Gauss-Newton finishes (METHODS 3.1); outliers are weighed
-down by Tukey's bisquare, and a prior on the soft iron can stand in for movements that were not made.
+Adjusted least squares give the start in one pass, and a debiased Gauss-Newton finishes (METHODS 3.1). Tukey's bisquare
+reduces the weight of outliers, and a prior on the soft iron can replace missing movements.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from mavcal.calib.mag.shape_fit import METHOD, Asked, averaged_shape, minimum, w
 AUTO = "auto"
 
 FEWEST = N_PARAMETERS + 1
-"""Samples below which there is no residual of nine parameters, hence no uncertainty."""
+"""Least number of samples: nine parameters need a residual for their uncertainty."""
 
 SPHERE_SOFT_IRON_SD = 0.05
-"""Standard deviation of each relative term of the soft iron that a sphere leaves out: that of a clean vehicle."""
+"""Standard deviation of each relative soft-iron term that a sphere neglects: that of a clean vehicle."""
 
 _MANY = 20_000  # samples that are enough to say what soft iron would do
 _CHANGED = 2.0  # times the noise: residuals of a sphere, whose soft iron would have been found
@@ -72,8 +72,8 @@ def fit_ellipsoid(
     Returns
     -------
     FitResult
-        Refused, with the movement that is missing, where the data leave a parameter open. The covariance holds with
-        1.96 sd at any N: noise that is known from few residuals only has widened it (Student's t).
+        Refused, with the missing movement, where a parameter is undetermined. The covariance is valid at 1.96 sd for
+        any N: it is widened where few residuals determine the noise (Student's t).
 
     Raises
     ------
@@ -92,7 +92,7 @@ def fit_ellipsoid(
 def ellipsoid_shape(samples: NDArray[Any], model: str, asked: Asked, *, fall_back: bool = True) -> ShapeFit:
     """The ellipsoid of `samples` (N, 3) before the verdict, free as `model` says (:func:`fit_ellipsoid`).
 
-    With `fall_back` the sphere takes the place of an ellipsoid that does not converge.
+    With `fall_back` a sphere replaces an ellipsoid that does not converge.
 
     Raises
     ------
@@ -131,8 +131,8 @@ def ellipsoid_shape(samples: NDArray[Any], model: str, asked: Asked, *, fall_bac
 def _sphere_instead(samples: NDArray[Any], asked: Asked, error: NotConvergedError) -> ShapeFit:
     """The sphere of `samples` (N, 3), whose ellipsoid ended in `error`.
 
-    Its covariance has what soft iron of 5 % would move it by. Its matrix is left open, and an offset that this leaves
-    unknown along some axes.
+    Its covariance includes the effect of 5 % of soft iron. Its matrix is undetermined, and so is an offset that this
+    leaves unknown along some axes.
 
     Raises
     ------

@@ -1,14 +1,11 @@
 """Verdict on an ellipsoid from its covariance, residuals and coverage; blur and lag of slow samples.
 
-Residuals of a compass that was sampled more slowly than it turned are no series: from one to the next everything has
-changed, so misfit cannot be told from noise by its correlation in time. Yet the cause of blur and lag is known: the
-turn. A mean over a window ``w`` shortens the field by ``(w^2/24) |du/dt|^2``, which a steady tumble hides in the
-ellipsoid. An axis that is read later by ``d`` than the others is off by ``d du_i/dt``, along the field by
-``d u_i du_i/dt``.
-
-Rows that are poses, written down one by one with their times, have no turn and independent errors. They show by one of
-three things: steps of 60 degrees and more, steps as long as those between rows taken at random, or a rate of turn that
-no vehicle has.
+Residuals of a compass sampled more slowly than it turned are not a time series, so serial correlation cannot tell
+misfit from noise. Yet the cause of blur and lag is known: the turn. A mean over a window ``w`` shortens the field by
+``(w^2/24) |du/dt|^2``, which a steady tumble hides in the ellipsoid. An axis read later by ``d`` than the others has an
+error of ``d du_i/dt``, along the field ``d u_i du_i/dt``. Rows that are poses, recorded one by one with their times,
+have no turn and independent errors. One of three criteria identifies them: steps of 60 degrees or more, steps as long
+as between random rows, or an impossible rate of turn.
 """
 
 from __future__ import annotations
@@ -59,7 +56,8 @@ _CAUSES: Final = 3  # the blur, and the lag of two axes behind the third
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
 _CHANGED_FIELD = 0.05  # residual relative to the radius, above the noise, that is 5 deg of heading now and then
 _PIECES = 10.0
-"""Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
+"""Most independent pieces of misfit over which an error averages out: it follows the movement, not the number of
+samples."""
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
@@ -80,7 +78,7 @@ class TurningField:
     step: float
     """Usual turn from one sample to the next, rad."""
     window: float
-    """Over which a reading may be a mean, s: no longer than the time between samples."""
+    """Longest possible averaging window of a reading, s: at most the sample interval."""
 
     @classmethod
     def of(cls, t: Array, corrected: Array) -> TurningField | None:
@@ -115,11 +113,11 @@ class TurningField:
 
     @property
     def blur(self) -> Array:
-        """Share of the field by which a mean shortens it, root mean square over windows up to the longest, (M,)."""
+        """Relative shortening of the field by averaging, rms over windows up to the longest, (M,)."""
         return np.asarray(_UNIFORM * self.window**2 / 24.0 * self.squared, dtype=np.float64)
 
     def seen_in(self, lengths: Array) -> float:
-        """Share of the variance of `lengths` (N,), one but for noise and misfit, that follows the turn; 0: none."""
+        """Share of the variance of `lengths` (N,), ideally one, that follows the turn; 0: none."""
         off = (lengths - np.median(lengths))[self.rows]
         kept = np.abs(off) <= _FAR * 1.4826 * float(np.median(np.abs(off)))
         if int(kept.sum()) < _FEWEST:
@@ -154,14 +152,14 @@ class ShapeFit:
     dof: float
     condition_number: float
     form: str = "ellipsoid"
-    """Form that the samples were compared with."""
+    """Form of the fitted shape."""
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
     fallback_reason: str = ""
-    """Reason for another form than the one asked for; empty: it is that one."""
+    """Reason for a form other than the requested one; empty: none."""
     undetermined: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Parameters that the method leaves as they are, each with the movement that would determine it."""
+    """Parameters that the method does not determine, each with the movement that would."""
     variance_inflation: float = 1.0
     """Largest factor by which residuals that are correlated in time widened `covariance`."""
 
@@ -176,7 +174,7 @@ class ShapeFit:
 
 
 def ellipsoid_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
-    """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
+    """The verdict on `fit` of `samples` (N, 3); refused where the data do not support it."""
     thinned = samples[:: max(1, len(samples) // _MANY)]
     seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
     quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
@@ -259,7 +257,7 @@ def _turn(fit: ShapeFit, samples: Array, context: MagContext) -> TurningField | 
 
 
 def _blurred(fit: ShapeFit, samples: Array, turn: TurningField) -> ShapeFit:
-    """The fit with what the longest blur could have moved it by: more samples do not make that less."""
+    """The fit with the possible error by the longest blur, which more samples do not reduce."""
     inverse = np.linalg.inv(fit.ellipsoid.shape)
     outwards = turn.blur / np.linalg.norm(turn.u @ inverse, axis=1)  # along the normal, in the unit of the samples
     pull = score_rows(samples[turn.rows], fit.ellipsoid) @ outwards
@@ -269,10 +267,10 @@ def _blurred(fit: ShapeFit, samples: Array, turn: TurningField) -> ShapeFit:
 
 
 def _widened(fit: ShapeFit, quality: Mapping[str, Any]) -> ShapeFit:
-    """The fit with the uncertainty that its misfit leaves, however many samples there are.
+    """The fit with the uncertainty of its misfit, for any number of samples.
 
-    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Nor is what follows the
-    turn where the compass was read more slowly than it turned.
+    Residuals beyond the noise are misfit, which averages over :data:`_PIECES` at most. So are residuals that follow the
+    turn if the compass was read more slowly than it turned.
     """
     squares = quality["residual_rms"] ** 2
     misfit = quality.get("blur_share", 0.0)

@@ -1,8 +1,8 @@
 """Compass offset from one reading at a known heading, for vehicles that cannot be turned.
 
-The field of the place, turned into the vehicle by its tilt and its true heading, is what the corrected compass has to
-read. The matrix in force is kept, so the offset is what is left: ``b = m - C^-1 R_body_ned F``. One reading has no
-residual. Everything that is wrong with the heading, the field, the tilt or the matrix is in the uncertainty instead.
+The corrected compass must read the field of the place, rotated into the vehicle by its tilt and true heading. The
+matrix in force is kept, so the offset is the remainder: ``b = m - C^-1 R_body_ned F``. One reading has no residual.
+Errors of the heading, the field, the tilt or the matrix are part of the uncertainty instead.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ METHOD = "mag-fixed-yaw"
 MOVEMENT = "for those turn the vehicle through all directions (job mag), or fly it with turns (mag-flight)"
 
 TILT_SD = math.radians(0.3)
-"""How well a calibrated accelerometer tells roll and pitch. Chosen, not measured: 0.05 m/s2 across gravity."""
+"""Standard deviation of roll and pitch by a calibrated accelerometer, rad. Chosen, not measured: 0.05 m/s2
+horizontally."""
 KEPT_SD = 0.02
-"""Error of the entries of a matrix that was fitted once. Chosen, not measured: what batteries change on board."""
+"""Standard deviation of the entries of a fitted matrix. Chosen, not measured: the effect of different batteries."""
 NEVER_FITTED_SD = 0.05
-"""The same of a matrix that never was: soft iron costs 3 to 9 % of the field (:mod:`calib.mag.simple_fits`)."""
+"""The same for a matrix that was never fitted: soft iron is 3 to 9 % of the field (:mod:`calib.mag.simple_fits`)."""
 
 # Error model of WMM2025, one sigma, crustal field included (its technical report): nT in the horizontal field.
 _DECLINATION_SD = 0.26, 5417.0

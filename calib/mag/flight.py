@@ -1,8 +1,7 @@
 """Hard and soft iron of a compass from an ordinary flight.
 
-The fit uses the log's attitude and the field of the magnetic model. Or it uses the gyroscope alone, and a field that is
-constant in the world but otherwise unknown. What the flight's attitudes do not determine stays as it was in force, and
-is named.
+The fit uses the log's attitude and the field of the magnetic model, or the gyroscope alone and an unknown constant
+field. Parameters that the flight's attitudes do not determine keep their values in force, and are named.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ SoftIron = Literal["auto", "held", "free"]
 METHOD = "mag-flight"
 SOFT_IRON: tuple[SoftIron, ...] = ("auto", "held", "free")
 _BELIEVED = 0.7
-"""Share of the sd before the data: an entry of the matrix that keeps more than this was not seen by the flight."""
+"""Posterior over prior sd above which the flight did not determine an entry of the matrix."""
 _ROUGHEST = 0.15  # of the field: residuals with which nothing is calibrated
 _MOST_OUTLIERS = 0.3
 _COARSE_DEG = 3.0
@@ -62,12 +61,12 @@ def fit_flight(
     mag
         Of the bare sensor, in its own axes.
     turning
-        Gyroscope and attitude of the log, body axes: both, or either alone. An attitude is never trusted with its
-        heading. Without one the world is where the flight began.
+        Gyroscope and attitude of the log, body axes: both, or either alone. The heading of an attitude is never
+        trusted. Without an attitude the reference frame is that of the start.
     in_force
-        The correction in force, sensor axes to body: what it says of the soft iron is where the fit begins. None: none.
+        The correction in force, sensor axes to body, whose soft iron is the start of the fit. None: none.
     drive
-        The current or another drive of the motors, whose field is estimated beside; the offset is then that without it.
+        The current or another drive signal of the motors, whose field is estimated too; the offset then excludes it.
     soft_iron
         ``held``: as in force. ``free``: entries of any size up to a tenth. ``auto``: as large as the flight shows.
     window
@@ -108,7 +107,7 @@ def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> Flig
 
 
 def _departure(rough: float, outliers: float) -> str:
-    """Faults alone: distance between the two, or number of samples that leave the others."""
+    """Text on excessive residuals, or else on the number of outliers."""
     if rough > _ROUGHEST:
         return f"compass and attitude do not agree: {rough:.0%} of the field is left of any offset and Earth's field"
     return f"{outliers:.0%} of the compass's samples depart from the Earth's field by more than their noise"
@@ -192,7 +191,7 @@ def _movement(name: str) -> str:
 
 
 def _open(found: FlightEstimate, strength: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Axes of the offset and entries of the matrix that the flight leaves open, in body axes."""
+    """Axes of the offset and entries of the matrix that the flight does not determine, in body axes."""
     sd = np.sqrt(np.diag(found.solved.covariance)[:9])
     prior = found.prior.sd[SHAPE]
     offsets = tuple(a for a, s in zip(AXES, sd[OFFSET], strict=True) if s > UNDETERMINED_SD * strength)

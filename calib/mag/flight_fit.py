@@ -29,20 +29,20 @@ from mavcal.calib.mag.flight_problem import (
 Array = NDArray[np.float64]
 
 SOFT_IRON_SD = 0.1
-"""Prior of the entries of the matrix, before the data: the largest that is tried."""
+"""Largest prior standard deviation of the matrix entries that is tried."""
 LEAST_SOFT_IRON_SD = 0.01
-"""The smallest: no compass is better known."""
+"""Smallest one: no compass is known better."""
 DIRECTION_SD = math.radians(0.5)
-"""Direction of the Earth's field about the model's, by the crust and by the site."""
+"""Standard deviation of the field's direction about the model's, due to crust and site, rad."""
 GYRO_BIAS_SD = 0.1  # rad/s
 GYRO_SCALE_SD = 0.01
 DELAY_SD = 0.05  # s
 BLUR_SD = 4e-4
-"""s2: of averages and filters that are not known, 0.1 s long."""
+"""Standard deviation of the blur, s2, from unknown averages and filters of 0.1 s."""
 MOUNTING_SD = math.radians(2.0)
-"""About each axis, of a compass against the body."""
+"""Standard deviation of a compass's mounting about each axis, rad."""
 JITTER = 3e-3
-"""s: by how much a sample's time is not what the log says, beside the constant delay: one turn of a firmware's loop."""
+"""Standard deviation of a sample's time stamp, s, apart from the constant delay: one loop of the firmware."""
 LEVEL_SD = math.radians(1.5)
 _FIXED_SD = 1e-6  # rad, of the first attitude where it is a matter of choice
 _OUTLIER = 6.0  # standard deviations of a sample's length
@@ -58,7 +58,7 @@ _LONGEST_LAG = 0.1  # of the samples, over which residuals are held to be correl
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A compass in body axes: times (N,), values (N, 3), drives (N, p); what was in force, its `matrix` inverted.
+    """A compass in body axes: times (N,), values (N, 3), drives (N, p); correction in force, its `matrix` inverted.
 
     Each sample is a mean over the `window` (s) before its time; `quantum` as in :class:`calib.recording.Channel`.
     """
@@ -89,7 +89,7 @@ class FlightEstimate:
     layout: Layout
     model: GyroModel
     noise: Array
-    """(N,), of a sample."""
+    """Noise of each sample (N,)."""
     inflation: float
 
     @property
@@ -99,7 +99,7 @@ class FlightEstimate:
 
     @property
     def used(self) -> int:
-        """Samples that count."""
+        """Number of samples with weight."""
         return int(np.count_nonzero(self.flight.weights > 0.0))
 
     def outside(self, rows: NDArray[np.bool_]) -> Array:
@@ -118,7 +118,7 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> FlightEsti
     Raises
     ------
     UndeterminedError
-        If something is entirely open.
+        If a parameter is entirely undetermined.
     """
     model = GyroModel.steady(first_bias(turning))
     path = make_path(turning, samples.t, model, None, samples.window)
@@ -151,8 +151,8 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> FlightEsti
 def estimated_soft_iron_sd(found: FlightEstimate) -> float:
     """Most likely sd of the soft-iron entries, from those that the data determine.
 
-    `found` was fitted with :data:`SOFT_IRON_SD`; what its likelihood alone says of the entries has the information
-    ``P^-1 - 1/sd^2``, and each prior's evidence follows from it in closed form.
+    `found` was fitted with :data:`SOFT_IRON_SD`. The information on the entries from its likelihood alone is ``P^-1 -
+    1/sd^2``, which gives each prior's evidence in closed form.
     """
     inverse = np.linalg.inv(found.solved.covariance[SHAPE, SHAPE])
     change = found.x[SHAPE] - found.prior.mean[SHAPE]
@@ -174,7 +174,7 @@ def _start(samples: Samples, flight: Flight, layout: Layout, known: Knowledge) -
     if known.field is not None:
         x[layout.field] = known.field.north_east_down
     else:
-        # field and offset, both small rather than large: a flight that hardly turns does not tell them apart
+        # prefer a small field and a small offset: a flight that hardly turns cannot separate them
         rows = np.concatenate([through, np.broadcast_to(np.eye(3), through.shape)], axis=2).reshape(-1, 6)
         ridge = 0.02 * math.sqrt(len(samples.t)) * np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
         both = np.vstack([rows, ridge])
@@ -220,9 +220,9 @@ def _prior(
 
 
 def _weighed(flight: Flight, solved: FlightSolution, samples: Samples, size: float) -> tuple[Flight, Array, float]:
-    """The flight with the noise that its residuals show and without outliers; that noise (N,), and its correlation.
+    """The flight with the noise of its residuals and without outliers; that noise (N,), and its correlation.
 
-    The noise is that of the time about a sample: a vehicle at rest is quieter than one that flies.
+    The noise is local in time: a vehicle at rest is quieter than in flight.
     """
     length = np.linalg.norm(solved.residuals, axis=1)
     floor = math.hypot(samples.quantum / math.sqrt(12.0), _LEAST_NOISE * size)

@@ -33,7 +33,7 @@ _BEFORE_SHOCK = 2.0  # s
 
 @dataclass(frozen=True, eq=False)
 class FlightInput:
-    """Checked input: samples in body axes, motion, and what was in force."""
+    """Checked input: samples in body axes, motion, and the correction in force."""
 
     samples: Samples
     turning: Turning
@@ -116,7 +116,7 @@ def unusable(data: FlightInput) -> str:
 def end_of_flight(recording_end: float, accel: Channel | None, attitude: Channel | None) -> float:
     """Time (s) at which a crash ends the flight for the compass; without one, the end of the recording.
 
-    The first shock of more than 60 m/s2 together with a tilt of more than 75 degrees within two seconds, less two.
+    Two seconds before the first shock above 60 m/s2 with a tilt above 75 degrees within two seconds.
     """
     if accel is None or attitude is None or not len(accel) or not len(attitude):
         return recording_end
@@ -148,7 +148,7 @@ def _increasing(channel: Channel | None) -> Channel | None:
 
 
 def _measured(values: Array) -> NDArray[np.bool_]:
-    """Rows (N,) that are finite and no absurd number."""
+    """Mask (N,) of finite and plausible rows."""
     return np.asarray(np.isfinite(values).all(axis=1) & (np.abs(values) < _LARGEST).all(axis=1), dtype=np.bool_)
 
 
@@ -157,7 +157,7 @@ def _or_none(channel: Channel | None) -> Channel | None:
 
 
 def _ranges(turning: Turning) -> tuple[float, float]:
-    """Turn about the vertical and about the horizontal, degrees; from the gyroscope where there is no attitude."""
+    """Range of turn about the vertical and about the horizontal, degrees; without an attitude from the gyroscope."""
     if turning.attitude is not None:
         track = Rotation.from_quat(turning.attitude.values, scalar_first=True)
         yaw, pitch, roll = np.unwrap(track.as_euler("ZYX"), axis=0).T

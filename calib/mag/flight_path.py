@@ -1,9 +1,9 @@
 """Attitude over a flight for the compass fit: integrated gyroscope, and the log's attitude.
 
 The log's attitude is never taken as the truth: its heading came from the very compass that is to be calibrated. The
-gyroscope carries the attitude; the log's attitude only says roughly where it stands. Every knot of time has an unknown
-small rotation, ``R_true = exp([delta]) R_reference`` (north-east-down). Its change from knot to knot is what the
-gyroscope's offset, scale and noise leave.
+gyroscope propagates the attitude, and the log's attitude only anchors it roughly. Every knot of time has an unknown
+small rotation, ``R_true = exp([delta]) R_reference`` (north-east-down). It changes from knot to knot by the gyroscope's
+offset, scale and noise.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from mavcal.calib.geometry import quaternion_product
 from mavcal.calib.recording import Array, Channel
 
 ANGLE_WALK = math.radians(0.15)
-"""rad/sqrt(s): what a MEMS gyroscope, sampled at 50 Hz or more on a shaking airframe, loses."""
+"""Angle random walk, rad/sqrt(s), of a MEMS gyroscope sampled at 50 Hz or more on a shaking airframe."""
 BENT_SD = 0.003
-"""Error of an angle turned between two knots: cross axis errors, which no parameter here follows."""
+"""Relative error of an angle between two knots, from cross-axis errors without a parameter here."""
 BIAS_WALK = 2e-4
-"""rad/s per sqrt(s): how a gyroscope's offset wanders while it warms up: 0.1 deg/s in a minute."""
+"""Random walk of a gyroscope's offset during warm-up, rad/s per sqrt(s): 0.1 deg/s in a minute."""
 TILT_SD = math.radians(2.0)
 HEADING_SD = math.radians(15.0)
 CORRELATION_S = 30.0
-"""Errors of a log's attitude: size and how long one lasts. A heading that a compass made wrong is wrong by this."""
+"""Size and correlation time of errors of a log's attitude, including a heading from a bad compass."""
 _KNOT = 1.0  # s
 _MOST_KNOTS = 6000
 _PARTS = 5  # times at which the attitude within a sample's averaging is looked at
@@ -73,14 +73,14 @@ class GyroModel:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The reference attitude at N samples of the compass, and how far it may be off at J knots.
+    """The reference attitude at N samples of the compass, and its possible error at J knots.
 
     `rotations` (N, 3, 3) take the body to north-east-down, the mean over the time that a sample averages; `rates`
     (N, 3) are in rad/s, `bends` (N, 3, 3) the second derivative of the attitude in 1/s2. Sample k lies between the
     knots `left` (N,) and the next, at the fraction `fraction` (N,).
 
     From knot to knot ``delta`` changes by ``-by_bias @ (error of bias) + by_scale @ (error of scale)``, (J - 1, 3, 3)
-    each, and a noise of variance `variance` (J - 1,); the gyroscope's offset was taken as `bias` (J, 3) and wanders
+    each, and by noise of variance `variance` (J - 1,). The gyroscope's assumed offset is `bias` (J, 3), which wanders
     with the variance `wander` (J - 1,). The log's attitude says ``delta = observed`` (J, 3) with `information` (J, 3),
     the body's axes at the knots being `knot_rotations` (J, 3, 3).
     """
@@ -116,8 +116,8 @@ def knots_of(start: float, end: float) -> Array:
 def make_path(turning: Turning, t: Array, model: GyroModel, start: Array | None, window: float = 0.0) -> Path:
     """The reference at the times `t` (N,), starting at the attitude `start` (3, 3); None: at the log's, or level.
 
-    The compass averages over `window` seconds before each of `t`, which shrinks what it sees of a swing: 1.6 % at 1 Hz
-    for ArduPilot's tenth of a second. Without a gyroscope the log's attitude itself is the reference.
+    The compass averages over `window` seconds before each of `t`, which attenuates a swing: by 1.6 % at 1 Hz for
+    ArduPilot's tenth of a second. Without a gyroscope the log's attitude itself is the reference.
     """
     knots = knots_of(float(t[0]), float(t[-1]))
     left = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
@@ -160,7 +160,7 @@ def _within(t: Array, window: float) -> list[Array]:
 
 
 def first_bias(turning: Turning) -> Array:
-    """Offset (3,) of the gyroscope to begin with: against the log's attitude, else while it hardly turns."""
+    """Initial offset (3,) of the gyroscope: against the log's attitude, else while it hardly turns."""
     gyro, attitude = turning.gyro, turning.attitude
     if gyro is None:
         return np.zeros(3)
@@ -179,7 +179,7 @@ def first_bias(turning: Turning) -> Array:
 
 
 class _Integrated:
-    """The gyroscope integrated from its first sample on; each sample rules the time nearest to it."""
+    """The gyroscope integrated from its first sample; each sample applies to the time nearest to it."""
 
     def __init__(self, gyro: Channel, model: GyroModel) -> None:
         self.rates = (gyro.values - model.at(gyro.t)) * (1.0 + model.scale)

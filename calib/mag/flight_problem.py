@@ -5,9 +5,9 @@
     y_k = A Q u_k + b + K d_k + noise      u_k = R_k^T h, R_k = exp([delta(t_k)]) R_reference(t_k - delay)
 
 Wanted: the offset b, the symmetric A (the inverse of the soft iron's correction) and the motors' K for the drives d
-(current, throttle, outputs). Nuisance: at every knot the error delta of the attitude and that of the gyroscope's
-offset; the gyroscope's scale; the delay and the blur of the compass; its mounting Q (a small rotation); the field h;
-and a tilt of the log's level against the body.
+(current, throttle, outputs). Nuisance parameters are, at every knot, the error delta of the attitude and that of the
+gyroscope's offset. The others are the gyroscope's scale; the delay and the blur of the compass; its mounting Q (a small
+rotation); the field h; and a tilt of the log's level against the body.
 
 The knots make a block tridiagonal matrix and the others a border of it, so an hour costs no more than its samples.
 """
@@ -74,7 +74,7 @@ class Layout:
 
     @property
     def blur(self) -> slice:
-        """Blur of the compass beside its averaging, s2: half the variance of what is averaged over."""
+        """Blur of the compass in addition to its averaging, s2: half the variance of the averaging window."""
         return self._after(7, 8)
 
     @property
@@ -104,8 +104,8 @@ class FlightPrior:
     mean: Array
     sd: Array
     start_sd: Array
-    """(6,): of the first knot, rad about north, east and down; inf: the log's attitude alone says; then the
-    gyroscope's offset, rad/s about zero."""
+    """Prior sd (6,) at the first knot: attitude about north, east and down, rad (inf: from the log's attitude alone),
+    then the gyroscope's offset about zero, rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def solve(flight: Flight, prior: FlightPrior, start: Array, knots: Array | None 
     Raises
     ------
     UndeterminedError
-        If the data and the prior leave an unknown open.
+        If data and prior leave an unknown undetermined.
     """
     x = start.copy()
     knots = np.zeros((flight.path.knots, KNOT)) if knots is None else knots.copy()
@@ -167,7 +167,7 @@ def predicted(flight: Flight, x: Array, knots: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """The field in the body as the compass meets it, and what it is made of."""
+    """The field in the body at the compass, and its components."""
 
     turned: Array  # (N, 3): field turned by the attitude's error, north-east-down
     back: Array  # (N, 3, 3): exp(-delta)
@@ -387,5 +387,5 @@ def _add_attitude(normal: _Normal, path: Path, x: Array, knots: Array, layout: L
 
 
 def without(flight: Flight, rows: NDArray[np.bool_]) -> Flight:
-    """The same flight that does not look at the compass in `rows`; the gyroscope carries the attitude through."""
+    """The flight without compass samples in `rows`; the gyroscope propagates the attitude through them."""
     return dataclasses.replace(flight, weights=np.where(rows, 0.0, flight.weights))

@@ -1,10 +1,9 @@
 """Mounting rotation by any angles, and the mirror image, that fit a magnetometer to the vertical.
 
 Whatever the heading, ``g . R m = sin(dip)`` for the true rotation R (:mod:`calib.mag.orientation`). That is linear in
-the nine elements of R. The mean of its squares is therefore a quadratic form, which is minimised over the rotations
-without another look at the samples. A sensor with a reversed axis turns and mirrors: its matrix is ``-R`` with a
-rotation R, and ``g . (-R) m = sin(dip)`` is the same search for the opposite sine. Where the dip is not known, or is
-zero, the two cannot be told apart.
+the nine elements of R. Its mean square is therefore a quadratic form, which is minimised over the rotations without the
+samples. The matrix of a sensor with a reversed axis is ``-R`` with a rotation R, and ``g . (-R) m = sin(dip)`` is the
+same search for the opposite sine. If the dip is unknown or zero, the two cannot be told apart.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 APART = math.radians(15.0)
-"""Angle between rotations from which on they are two answers and not one."""
+"""Angle above which two rotations are different solutions, rad."""
 _STEPS = 40
 _HALVINGS = 8
 _CONVERGED = 1e-7
 _DAMPING = 1e-9
-"""Added to the normal equations, relative to their trace: a turn that nothing determines stays where it started."""
+"""Damping of the normal equations, relative to their trace: an undetermined rotation keeps its start value."""
 _GENERATORS = np.array(
     [
         [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
@@ -128,7 +127,7 @@ def best_rotations(down: Array, field: Array, sine: float | None, starts: Array)
 
 
 def best_mirrors(down: Array, field: Array, sine: float | None, starts: Array) -> list[Array]:
-    """The same over the matrices that turn and mirror (determinant -1); none where the dip is not known."""
+    """The same for reflections (determinant -1); none if the dip is unknown."""
     if sine is None:
         return []
     return [-rotation for rotation in best_rotations(down, field, -sine, starts)]

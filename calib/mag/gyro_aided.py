@@ -75,8 +75,8 @@ def fit_gyro_aided(
     Returns
     -------
     FitResult
-        The matrix turns the field into the gyroscope's axes. ``native`` has the rotation, the gyroscope's offset, the
-        delay. Refused, with the movement that is missing, where the motion does not determine it.
+        The matrix rotates the field into the gyroscope's axes. ``native`` has the rotation, the gyroscope's offset and
+        the delay. Refused, with the missing movement, where the motion does not determine it.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def fit_gyro_aided(
 
 
 def _slow_enough(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
-    """The samples of the compass that averaging while turning hardly shrank; all, where too few are left."""
+    """The compass samples hardly attenuated by averaging while turning; all if these are too few."""
     if window <= 0.0:
         return np.ones(len(mag), dtype=np.bool_)
     sharp = rates_during(mag.t, gyro.t, gyro.values, window).sharp(_SHRINK)
@@ -144,7 +144,7 @@ def _relative_sd(found: ChainSolution, prior: ImuPrior | None) -> Array:
 
 
 def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ...]]:
-    """Reason to use nothing of it, and the parameters that stay open."""
+    """Reason to refuse the whole fit, and the undetermined parameters."""
     rough = float(np.sqrt((_residuals(found) ** 2).mean()))
     if rough > _ROUGHEST:
         return (

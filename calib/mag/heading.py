@@ -12,11 +12,11 @@ DEFAULT_INCLINATION = math.radians(60.0)
 """Dip that is assumed where the place is unknown: middle latitudes, rad."""
 
 STEEPEST = math.radians(89.0)
-"""Dip beyond which no compass points anywhere, rad; steeper ones are taken as this."""
+"""Largest dip, rad, at which a compass has a heading; steeper ones are replaced by it."""
 
 TILT = math.radians(30.0)
-"""Roll and pitch that a heading must survive, rad: that of a multicopter under way. A level turn alone says nothing of
-it: it determines the heading of a level vehicle, and neither the vertical offset nor what couples to it."""
+"""Roll and pitch at which a heading must still be valid, rad: that of a multicopter in flight. A level turn alone is
+not enough: it determines neither the vertical offset nor its couplings."""
 
 _HEADINGS = np.arange(0.0, 2.0 * math.pi, math.pi / 18.0)
 
@@ -47,7 +47,7 @@ def heading_sd_deg(
     body_from_sensor : shape (3, 3) or None
         Mounting rotation; None: the sensor's axes are those of the vehicle.
     tilt
-        Roll and pitch, to either side, that are looked at besides level, rad; 0: level only.
+        Roll and pitch, to either side, that are evaluated in addition to level, rad; 0: level only.
     """
     dip = math.copysign(min(abs(inclination), STEEPEST), inclination)
     horizontal = strength * math.cos(dip)

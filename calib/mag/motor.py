@@ -1,10 +1,9 @@
 """Field of the motors at a compass from an ordinary flight, against current, throttle or motor outputs.
 
-Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
-offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the models
-with and without the term (:mod:`calib.mag.motor_candidates`) are compared on parts of the flight that neither saw
-(:mod:`calib.mag.motor_hidden`): the term must bring every part nearer, by the attitude of the gyroscope and by that of
-the log.
+Each drive signal is fitted together with all other unknowns of a flight (:mod:`calib.mag.flight`: offset, attitude,
+gyroscope, delay), so that none of these is mistaken for it. Before a term is proposed, models with and without it
+(:mod:`calib.mag.motor_candidates`) are compared on held-out parts of the flight (:mod:`calib.mag.motor_hidden`). The
+term must improve every part, with the gyroscope's attitude and with the log's.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force th
 _ROUGHEST = 0.3  # of the field, left of the fit without motors: nothing beside it is told
 _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _MOVES = {DriveKind.CURRENT: 3.0, DriveKind.THROTTLE: 0.2, DriveKind.MOTORS: 0.2}
-"""A, and of the range: what moves less hardly changes."""
+"""Least range of a drive signal: A for a current, 0..1 for throttle and motor outputs."""
 
 
 def fit_motor(
@@ -68,7 +67,7 @@ def fit_motor(
     turning
         As for :func:`calib.mag.flight.fit_flight`.
     drives
-        What may drive it, the simplest first.
+        Possible drive signals, the simplest first.
     in_force
         The correction in force, sensor axes to body; the term is given behind it. None: none.
     window
@@ -223,7 +222,7 @@ def _native(
 def _with_logged_attitude(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
     """Fit with the log's attitude and heading as the truth, for comparison only.
 
-    Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
+    Its heading came from a compass: a correction at arming or in flight then looks like the motors' field.
     """
     none, first = candidates[0].log, candidates[1]
     if none is None or first.log is None or first.drive is None:
@@ -244,7 +243,7 @@ def _one_or_all(rows: Array) -> list[Any]:
 
 
 def _term(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
-    """The term behind the correction in force: what the motors add, and what would take it away."""
+    """The term after the correction in force: the motors' field, and its compensation."""
     drive = candidate.drive
     if drive is None:
         return {}
@@ -288,7 +287,7 @@ def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mappin
 
 
 def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
-    """Conditions that the best drive does not meet."""
+    """Text on the conditions that the best drive does not meet."""
     for who, gains, sds in gains_of(best, none):
         if (gains > SURE * sds).all():
             continue

@@ -26,7 +26,7 @@ LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is 
 BY_GYROSCOPE, BY_LOG = "gyroscope", "log"
 """Attitudes by which hidden samples are predicted: the gyroscope's, and the log's own."""
 _SOFT_IRON_SD = 0.05
-"""Prior of the matrix beside the one in force: a nuisance here."""
+"""Prior sd of the matrix about the one in force, a nuisance here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class Candidate:
     drive: Drive | None
     found: FlightEstimate
     hidden: Hidden
-    """By the gyroscope, which carries the attitude through."""
+    """With the attitude propagated by the gyroscope."""
     log: LogFit | None = None
-    """By the log's attitude, taken for the truth; None: there is none."""
+    """With the log's attitude taken as the truth; None: there is none."""
 
     @property
     def kind(self) -> str:
@@ -85,24 +85,24 @@ def candidates_of(
 
 
 def _judged(drive: Drive | None, data: FlightInput, fit: FlightEstimate, gain: Array, context: MagContext) -> Candidate:
-    """The candidate with what it predicts of hidden samples by either attitude."""
+    """The candidate with its predictions of hidden samples by either attitude."""
     alone = Candidate(drive, fit, by_gyroscope(data, fit))
     return dataclasses.replace(alone, log=by_log(data, drive, (gain @ alone.term).T, gain, context))
 
 
 def gain_of(data: FlightInput, in_force: TriadModel) -> Array:
-    """The correction in force (3, 3) of body axes: what it makes of a field at the sensor."""
+    """Matrix (3, 3) of the correction in force in body axes, which maps a field at the sensor."""
     return np.asarray(in_force.matrix @ data.sensor_from_body)
 
 
 def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
-    """Whether hidden blocks prefer `better` by `sure` standard errors; by logarithms, so that each counts alike."""
+    """Whether hidden blocks prefer `better` by `sure` standard errors; in logarithms, so that all weigh equally."""
     gains = np.log(np.maximum(worse.hidden.scores, _TINY)) - np.log(np.maximum(better.hidden.scores, _TINY))
     return float(gains.mean()) > sure * float(gains.std(ddof=1)) / math.sqrt(len(gains))
 
 
 def chosen_of(candidates: Sequence[Candidate]) -> Candidate:
-    """The simplest of those that are as good as the best, of those that hidden samples want at all."""
+    """The simplest candidate that is as good as the best, among those that hidden samples support."""
     none = candidates[0]
     wanted = [c for c in candidates[1:] if improves_prediction(c, none)]
     if not wanted:
@@ -118,7 +118,7 @@ def improves_prediction(candidate: Candidate, none: Candidate) -> bool:
 
 
 def _unhelped(candidate: Candidate, none: Candidate) -> list[str]:
-    """The attitudes by which the term does not bring every part of the flight nearer, beyond its uncertainty."""
+    """The attitudes with which the term does not improve every part of the flight significantly."""
     return [who for who, gains, sds in gains_of(candidate, none) if not (gains > SURE * sds).all()]
 
 
@@ -131,7 +131,7 @@ def gains_of(candidate: Candidate, none: Candidate) -> list[tuple[str, Array, Ar
 
 
 def _matters(candidate: Candidate) -> bool:
-    """Whether the term is more than its uncertainty, and turns a heading."""
+    """Whether the term is significant and affects the heading."""
     drive = candidate.drive
     if drive is None:
         return False

@@ -14,7 +14,7 @@ from mavcal.calib.stats.windows import finite_rows
 METHOD = "mag-motor"
 """The fit of :mod:`calib.mag.motor`; named here, so that composing its result loads no fit."""
 SMOOTHING = 2.0
-"""s: faster changes are seen by the compass' averaging and by the log at other instants, and would shrink the slope."""
+"""Smoothing time, s: faster changes reach compass and log at different times, and would attenuate the slope."""
 _GAP = 3.0  # s over which a drive is not known
 _LIVE = 0.02  # of the largest: an output that moves less is no motor
 

@@ -1,8 +1,8 @@
 """Held-out prediction errors with and without the motors' term, and whether the attitude is to blame.
 
-Two attitudes turn the Earth's field: the one that the gyroscope carries (:mod:`calib.mag.flight_fit`), and the log's
-own, taken for the truth. Each is wrong in its own way: the first drifts, the second leans on the very compasses. A term
-that only one of them wants belongs to that attitude's error.
+Two attitudes rotate the Earth's field: that propagated by the gyroscope (:mod:`calib.mag.flight_fit`), and the log's
+own, taken as the truth. Each has its own errors: the first drifts, the second depends on the very compasses. A term
+that only one of them supports is an error of that attitude.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from mavcal.calib.mag.result import MagContext
 from mavcal.calib.triad import Array, TriadModel
 
 BLOCK = 15.0
-"""s that are hidden at a time."""
+"""Length of a hidden block, s."""
 STRETCHES = 3
-"""Parts of a flight, blocks that follow one another; each part has to gain by the term."""
+"""Number of parts of a flight, each of consecutive blocks; the term must improve each part."""
 SURE = 2.0
-"""Standard deviations by which each of them has to."""
+"""Standard deviations by which each part must improve."""
 _FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10
 _CLIPPED = 5.0  # median lengths of a residual: what lies farther counts as this far
 _RIDGE = 1e-3  # of the diagonal: keeps field and offset apart on a flight that hardly turns
@@ -82,7 +82,7 @@ class LogFit:
     term_sd: Array
     offset: Array
     rms: float
-    """Length of what is left of all samples."""
+    """Rms residual length of all samples."""
 
 
 def blocks_of(t: Array) -> NDArray[np.intp]:
@@ -153,7 +153,7 @@ def _least_squares(design: Array, y: Array) -> tuple[Array, Array]:
 def unusable_attitude(data: FlightInput, found: FlightEstimate, in_force: TriadModel, context: MagContext) -> str:
     """A sentence that blames the logged attitude instead of the compass; empty: the attitude is usable.
 
-    The Earth's field is as long in any attitude: a compass that reads one length is sound, and its correction too.
+    The Earth's field has the same strength in any attitude, so a constant reading proves compass and correction.
     """
     strength = float(np.linalg.norm(found.x[found.layout.field]))
     steady = _steadiness(data, in_force)

@@ -1,9 +1,9 @@
 """Mounting of a magnetometer: which rotation makes its field agree with the accelerometer.
 
-Whatever the heading, the angle between field and vertical is fixed by the dip: with g the unit vector down and m the
-unit field, both in the body, ``g . R m = sin(dip)`` holds for the true rotation R alone, provided that the vehicle was
-tilted to all sides. Mountings by right angles are tried by name; any other is fitted by its angles, and told from a
-sensor whose axes are mirrored, which no mounting is (:mod:`calib.mag.free_rotation`).
+For any heading, the dip fixes the angle between field and vertical. With g the unit vector down and m the unit field,
+both in the body, ``g . R m = sin(dip)`` holds only for the true rotation R, if the vehicle was tilted to all sides.
+Right-angle mountings are tried by name. Others are fitted by their angles, and distinguished from mirrored axes, which
+are not a mounting (:mod:`calib.mag.free_rotation`).
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ QUIET = 0.1
 """Departure of |accel| from gravity, relative, up to which it shows the vertical."""
 
 FEWEST = 20
-"""Samples near 1 g below which nothing is said."""
+"""Least number of samples near 1 g."""
 
 MARGIN = 4.0
 """Mean square by which the second best rotation must be worse (ArduPilot asks for 2)."""
 
 ASKEW = math.radians(5.0)
-"""Angle from the nearest right-angle mounting up to which that one is meant: brackets and levels are no better."""
+"""Angle to the nearest right-angle mounting within which that one is assumed: brackets are no more accurate."""
 
 _LIKELIHOOD = 10.0  # logarithm of the ratio of likelihoods that is asked for besides: 1 to 22 000
 _EXPLAINS = 0.25  # rms of g . R m - sin(dip), a sine: beyond about 15 degrees nothing is explained
@@ -87,7 +87,7 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class FittedRotation:
-    """The rotation by any angles that explains the data best, from what is taken for the body to the body."""
+    """The best-fitting rotation by any angles, from the assumed body frame to the body."""
 
     matrix: Array  # (3, 3)
     covariance: Array
@@ -117,10 +117,10 @@ class OrientationResult:
     """Logarithm of the ratio of likelihoods of the best and the second best."""
     n_used: int
     misalignment_deg: tuple[float, float, float] | None
-    """Small rotation about body x, y, z that is left over after `best`; None: the tilt does not determine it."""
+    """Residual small rotation about body x, y, z after `best`; None: the tilt does not determine it."""
     misalignment_sd_deg: tuple[float, float, float] | None
     lag: float | None
-    """By how much the magnetometer is later than the accelerometer, s; None: no gyro was given, or nothing turned."""
+    """Delay of the magnetometer against the accelerometer, s; None: no gyro, or no rotation."""
     fitted: FittedRotation | None
     """None: the tilt does not determine it."""
     sine: float
@@ -178,12 +178,12 @@ def find_orientation(
     inclination: float | None = None,
     stated: ArrayLike | None = None,
 ) -> OrientationResult:
-    """Find the rotation that is missing between magnetometer and body.
+    """Find the missing rotation between magnetometer and body.
 
     Parameters
     ----------
     mag : shape (N, 3)
-        Corrected field in what is taken for the body frame, any unit.
+        Corrected field in the assumed body frame, any unit.
     accel : shape (N, 3)
         Corrected specific force in the body frame at the same times, m/s2; samples that are not within 10 % of gravity
         are left out.
@@ -311,7 +311,7 @@ def _by_any_angles(
 
 
 def _mirrored(samples: _Samples, mirror: Array, square: float, stated: ArrayLike | None) -> str:
-    """In words, that a mirror image explains the field and no rotation (mean square `square`) does; or empty."""
+    """Text if a reflection explains the field and no rotation (mean square `square`) does; else empty."""
     reflected = samples.mean_square(mirror)
     if math.sqrt(reflected) > _EXPLAINS or not samples.clearly(reflected, square):
         return ""

@@ -1,7 +1,7 @@
 """Facts that a compass fit needs beside the samples, and the function that makes its :class:`FitResult`.
 
-Each method finds an offset and a matrix in its own way, and words its own message and warnings. The tie to the Earth's
-field, the heading error and the limits beyond which nothing may be used are the same for all of them.
+Each method finds offset and matrix in its own way, with its own message and warnings. The scaling to the Earth's field,
+the heading error and the limits of usability are common to all.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class MagContext:
     compensated
         Whether the vehicle has a compensation of the motors' field in force.
     times
-        Of the samples, s, (N,), where their residuals are to be searched for blur and lag; None: not known.
+        Times of the samples, s, (N,), for the search for blur and lag in their residuals; None: not known.
     """
 
     instance: int = 0
@@ -102,8 +102,8 @@ class MagFacts(TypedDict, total=False):
 
 
 UNDETERMINED_SD = 0.1
-"""Standard deviation relative to the radius from which on a parameter counts as undetermined: the error of the
-linearisation, (sd/R)^2, then reaches a tenth of the sd, and the stated uncertainty is no longer true."""
+"""Standard deviation relative to the radius above which a parameter is undetermined. The linearisation error, (sd/R)^2,
+then reaches a tenth of the sd, and the stated uncertainty is no longer valid."""
 
 FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
@@ -138,7 +138,7 @@ class CompassFit:
 def compass_result(fit: CompassFit, context: MagContext, *, of_earth: bool = True) -> FitResult:
     """The result of `fit`; refused where its field cannot be the Earth's.
 
-    `of_earth` False: the scale was tied to something else, so the strength proves nothing.
+    `of_earth` False: the scale has another source, so the strength is not checked.
     """
     covariance = fit.covariance.copy()
     rows = [parameter_names().index(name) for name in fit.undetermined]
@@ -227,7 +227,7 @@ def plausible_field(radius: float) -> bool:
 def checked_against_earth(fit: FitResult, context: MagContext) -> FitResult:
     """`fit` with a warning where no place on Earth has such a field strength; refused where it is far off.
 
-    A fit whose scale is tied to a stated field is never refused: there a sensor may read in any unit.
+    A fit scaled to a stated field is never refused, since the sensor may read in any unit.
     """
     radius = fit.quality.get("radius")
     if fit.unit != "uT" or fit.status == FitStatus.REFUSED or radius is None:

@@ -1,8 +1,8 @@
-"""Centres of rings: what a magnetometer reads while one axis of the body stays vertical and the body turns about it.
+"""Centres of rings: magnetometer readings while the body turns about a vertical body axis.
 
-A ring is a circle of the true field. Every estimate but the extremes is therefore made of samples that a matrix known
-well enough has brought back to that circle (METHODS S3). The mean is the best where the turn was even and biased where
-it was not; a fitted circle is the same either way.
+A ring is a circle of the true field. Every estimate but the extremes therefore uses samples that an approximate matrix
+has mapped back to that circle (METHODS S3). The mean is best for an even turn and biased for an uneven one; a fitted
+circle is insensitive to that.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mavcal.calib.fit import AXES
 Array = NDArray[np.float64]
 
 CENTRES = ("circle", "mean", "thinned", "minmax", "4", "3", "2")
-"""Ways to find the centre of a ring: the best first."""
+"""Methods to find the centre of a ring, the best first."""
 
 FEWEST_OF_CIRCLE = 8
 """Samples below which no circle is fitted."""
@@ -47,7 +47,7 @@ class Circle:
     centre: Array
     radius: float
     height_residuals: Array
-    """Heights (N,) above the plane of the ring, which is a little tilted where the face was."""
+    """Heights (N,) above the plane of the ring, which is tilted like the face."""
     radial_residuals: Array
     """Distances (N,) from the circle within the plane, positive outside."""
     outward: Array
@@ -67,7 +67,7 @@ class Centre:
     value: Array
     covariance: Array
     surprise: Array
-    """Distance (3,) from the centre of the fitted circle, where that cannot be chance: the turn was uneven. Else 0."""
+    """Distance (3,) from the centre of the fitted circle, if significant because of an uneven turn; else 0."""
 
 
 def plane_of(down: Array) -> Array:
@@ -113,7 +113,7 @@ def fit_circle(points: Array, down: Array) -> Circle | None:
 
 
 def _newton(x: Array, parameters: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Centre and radius, outward unit vectors, residuals and ``(J^T J)^-1`` of a circle; None if it runs away."""
+    """Centre and radius, outward unit vectors, residuals and ``(J^T J)^-1`` of a circle; None if it diverges."""
     for _ in range(30):
         from_centre = x - parameters[:2]
         distance = np.maximum(np.hypot(from_centre[:, 0], from_centre[:, 1]), 1e-12)
@@ -203,7 +203,7 @@ def _weights(ring: Ring, way: str, matrix: Array, about: Array) -> Array | None:
 
 
 def _spans(angle: Array) -> Array:
-    """The angle (N,) that each sample stands for, half way to its neighbours: equal-angle bins without their steps."""
+    """The angle (N,) represented by each sample, half way to its neighbours: equal-angle weights without bins."""
     order = np.argsort(angle)
     gaps = np.diff(angle[order], append=angle[order[0]] + 2.0 * math.pi)
     spans = np.empty(len(angle))

@@ -120,7 +120,7 @@ def centres_inverse(faces: Array) -> Array:
 
 
 def by_dominant(columns: Array) -> Array:
-    """`columns` (3, 3), each divided by its largest component, as published: the scale of each axis is thrown away.
+    """`columns` (3, 3), each divided by its largest component, as published; this loses the scale of each axis.
 
     >>> by_dominant(np.array([[11.0, 2.0, 3.0], [4.0, 10.0, 4.0], [3.0, 1.0, 12.0]]))[1].round(9)
     array([0.36363636, 1.        , 0.33333333])
@@ -165,7 +165,7 @@ def solve_rings(rings: Sequence[Ring], way: str, fixture_sd: float) -> RingsFit:
 
 
 def _without_spikes(samples: Array) -> Array:
-    """The samples that are not many times as far from the middle of the ring as most."""
+    """The samples without spikes far from the middle of the ring."""
     if len(samples) < FEWEST_OF_CIRCLE:
         return samples
     far = np.linalg.norm(samples - np.median(samples, axis=0), axis=1)
@@ -218,7 +218,7 @@ def _solved(rings: Sequence[Ring], way: str, fixture_sd: float) -> RingsFit:
 
 
 def _circles(rings: Sequence[Ring], matrix: Array, noise_sd: float) -> tuple[list[Circle | None], float]:
-    """Circles of all rings, without those that their samples leave open, and the noise of one axis of a sample."""
+    """Circles of all rings, None for undetermined ones, and the noise of one axis of a sample."""
     found = [fit_circle(ring.samples @ matrix.T, ring.down) for ring in rings]
     residuals, dof = _residuals(rings, found, matrix)
     if dof:

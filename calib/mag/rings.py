@@ -1,9 +1,9 @@
 """Six rings: offset and full matrix of a magnetometer, mounting included, from turns about the vertical (METHODS S3).
 
-With body axis k down the field runs round ``h = F (sin d k + cos d (e1 cos p + e2 sin p))``. The centre of the ring is
-``b + F sin d A k``. Half the difference of the centres with an axis down and up is ``v_i = F sin d A e_i``. But for one
-common factor this is a *column* of the matrix. The mean of the six centres is b. Only the vertical field is used: near
-the magnetic equator the columns vanish. A face of the fixture that is not square enters at full size.
+With body axis k down the field describes the circle ``h = F (sin d k + cos d (e1 cos p + e2 sin p))``. The centre of
+the ring is ``b + F sin d A k``. Half the difference of the centres with an axis down and up is ``v_i = F sin d A e_i``.
+Apart from one common factor this is a *column* of the matrix. The mean of the six centres is b. Only the vertical field
+is used: near the magnetic equator the columns vanish. An error of a fixture face has its full effect.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def fit_rings(
     downs
         The axis of the body that pointed down in each ring: a signed unit vector (3,). None: seen from the centres.
     centre
-        One of :data:`calib.mag.ring_centres.CENTRES`; what is not ``circle`` is tested against the circle.
+        One of :data:`calib.mag.ring_centres.CENTRES`; methods other than ``circle`` are tested against it.
     fixture_sd
         Tilt of every face about each horizontal axis, standard deviation in degrees; part of the covariance.
     diameter
@@ -139,7 +139,7 @@ def _turned(samples: Sequence[Array]) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class _Scale:
-    """Scale from a matrix in columns to microtesla: samples in the corrected space of ``V^-1``."""
+    """Conversion from the corrected space of ``V^-1`` to microtesla, with the samples in that space."""
 
     fit: RingsFit
     strength: float | None

@@ -21,7 +21,7 @@ OUTLIER = 6.0
 """Distance in standard deviations that normal noise does not reach (2e-9)."""
 
 MOST_OUTLIERS = 0.3
-"""Fraction of outliers from which on the samples are refused: the majority is then no longer clear."""
+"""Fraction of outliers above which the samples are refused, since the majority is no longer clear."""
 
 _SMALLEST_SD = 1e-9  # of the radius: exact data have no noise, only rounding
 _TRIM = 3.0
@@ -44,7 +44,7 @@ class Start:
     ellipsoid: Ellipsoid
     noise_sd: float
     outliers: bool
-    """Whether some samples are off by more than noise ever is."""
+    """Whether some samples deviate by more than noise can."""
     first: Pass | None = None
     """The pass over the samples at `ellipsoid` with the variance of `noise_sd`; None: it was not made."""
 
@@ -52,9 +52,9 @@ class Start:
 def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel = MagModel.SYMMETRIC) -> Start:
     """An ellipsoid of the form `model` near the majority of `cloud`, in its scale; `whole` are its moments.
 
-    Adjusted least squares on all samples; if that leaves outliers, on those within three standard deviations, again
-    and again. The best of many small subsets is tried if too many drop out that way. It is tried, too, if a far sample
-    may have bent the first ellipsoid through itself.
+    Adjusted least squares on all samples; with outliers, repeatedly on those within three standard deviations. If too
+    many drop out, or if a distant sample may have attracted the first ellipsoid, the best of many small subsets is
+    tried.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel
 
 
 def _swollen(cloud: Cloud, ellipsoid: Ellipsoid) -> bool:
-    """Whether most samples lie in a small part of `ellipsoid`, which far ones may have drawn out to themselves."""
+    """Whether most samples lie in a small part of `ellipsoid`, which distant ones may have stretched."""
     seen = cloud.take(slice(None, None, max(1, len(cloud) // _MAJORITY))).scaled()
     return float(np.median(np.linalg.norm(seen - np.median(seen, axis=0), axis=1))) < _PART * ellipsoid.mean_radius
 
@@ -99,7 +99,7 @@ def _looks_normal(residuals: Array) -> bool:
 
 
 def _first_guess(cloud: Cloud, whole: Moments, model: MagModel) -> tuple[Ellipsoid, float]:
-    """Adjusted least squares and their noise; a sphere where these give no sensible ellipsoid."""
+    """Adjusted least squares and their noise; a sphere if these give no plausible ellipsoid."""
     try:
         ellipsoid, noise_sd = whole.ellipsoid(model)
         if _is_sensible(ellipsoid):
@@ -141,7 +141,7 @@ def _ellipsoid_of(cloud: Cloud, model: MagModel) -> Ellipsoid | None:
 def _concentrated(cloud: Cloud, ellipsoid: Ellipsoid, floor: float, model: MagModel) -> tuple[Ellipsoid, float]:
     """Refit to what lies within three standard deviations until that set stays (Rousseeuw's concentration steps).
 
-    Many samples are represented by some: the fit that follows sees them all.
+    A subset represents many samples; the final fit uses them all.
     """
     cloud = cloud.take(slice(None, None, max(1, len(cloud) // _MAJORITY)))
     distances = Distances(cloud)

@@ -1,8 +1,8 @@
 """Recursive adjusted least squares: one pass, a state of fixed size, a covariance at any time.
 
 Only moments of the samples are kept. The estimate needs them to the fourth order (:mod:`calib.mag.moments`), its
-covariance to the sixth. Products of neighbours show the serial correlation of its residuals. Moments add up, so chunks
-can be cut and joined anywhere, and old ones can fade: nothing is linearised on the way (METHODS 3.5).
+covariance to the sixth. Products of neighbours show the serial correlation of its residuals. Moments are additive, so
+chunks can be split and merged anywhere, and old ones can fade without any linearisation (METHODS 3.5).
 
 The algebraic residual of a sample is ``e = psi . theta``; noise moves it by ``grad . noise``. The nine parameters x
 have ``theta(x)``, ``T = d theta/dx`` and ``A = T^T Psi T``. Hence ``Cov x = A^-1 T^T (sum w^2 v |grad|^2 psi psi^T) T
@@ -65,8 +65,8 @@ class RunningEllipsoid:
     """Moments of all magnetometer samples so far, in a state of fixed size; immutable.
 
     Start with :meth:`about`. `centre` and `scale` only serve the conditioning: the middle and the radius of the cloud,
-    roughly. `forgetting` is the factor by which a sample's weight falls with each one that follows: 1 remembers all,
-    ``1 - 1/n`` the last n or so.
+    roughly. `forgetting` is the factor on a sample's weight with each following one: 1 keeps all, ``1 - 1/n`` about the
+    last n.
     """
 
     forgetting: float
@@ -165,7 +165,7 @@ class RunningEllipsoid:
     def fit(self, model: str = MagModel.SYMMETRIC, **facts: Unpack[MagFacts]) -> FitResult:
         """The ellipsoid with its covariance; refused as long as too much is missing.
 
-        Outliers are not found: for that the samples themselves are needed (:func:`calib.mag.fit_ellipsoid`).
+        Outliers are not detected, which needs the samples themselves (:func:`calib.mag.fit_ellipsoid`).
 
         Parameters
         ----------

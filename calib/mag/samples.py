@@ -16,15 +16,15 @@ PLANAR = 0.02
 """Thickness of a cloud, relative to its width, below which it counts as a plane: +-2.5 degrees of tilt give this."""
 
 LEAST_VARIANCE = 1e-32
-"""Variance of residuals relative to the radius, squared: exact data have a rounding error at least."""
+"""Least variance of residuals, relative to the squared radius: exact data still have a rounding error."""
 
 NEARLY_PLANAR = 0.1
-"""Thickness below which a fit that fails is put down to the movement being flat."""
+"""Thickness below which a failed fit is attributed to a flat movement."""
 
 _COUNTED = 1000  # samples up to which repeats are counted; more than that are never so few
 
 CHUNK = 8192
-"""Samples worked on at a time: what is made of them stays in the processor's cache."""
+"""Samples processed at a time, few enough for the processor's cache."""
 
 _LOOKED_AT = 4096  # samples that give centre and scale: these only serve the conditioning
 
@@ -48,7 +48,7 @@ class Cloud:
     centre: Array
     scale: float
     precision: Array | None = None
-    """One over the noise of every sample (N,), relative to a sample that only has the sensor's; None: all are alike."""
+    """Inverse noise of every sample (N,), relative to a sample with only the sensor's noise; None: all are equal."""
 
     @classmethod
     def of(cls, samples: NDArray[Any], precision: Array | None = None) -> Cloud:
@@ -82,9 +82,8 @@ class Cloud:
 def not_repeated(samples: NDArray[Any]) -> NDArray[np.bool_]:
     """Mask of the `samples` (N, 3) that differ from the one before.
 
-    A reading that repeats the last one to its last digit brings nothing new: it was sent twice, or the sensor was held
-    still and its steps are coarser than its noise. Taken for samples with noise of their own they would make the
-    error of one step look like the mean of many.
+    An exact repeat has no new information: it was sent twice, or the sensor was still and its steps are coarser than
+    its noise. Counted as independent samples, repeats would make the error of one step look like a mean of many.
     """
     fresh = np.ones(len(samples), dtype=np.bool_)
     fresh[1:] = (samples[1:] != samples[:-1]).any(axis=1)
@@ -94,7 +93,7 @@ def not_repeated(samples: NDArray[Any]) -> NDArray[np.bool_]:
 def still_stretches(samples: Array, step: float) -> NDArray[np.intp]:
     """First row of each stretch of `samples` (N, 3) whose readings stay within a few steps of their mean.
 
-    A reading that moved on is a stretch of its own.
+    A reading that moved begins a new stretch.
     """
     starts, begin = [0], 0
     total = samples[0].copy()
@@ -111,13 +110,11 @@ def counted_as(samples: Array, starts: NDArray[np.intp], step: float) -> Array:
     """Number of independent readings in each stretch, (M,): from one to all of its readings.
 
     Rounding is white noise only where something moves the field across the steps. Held still, a sensor repeats one
-    rounding error. With noise of sigma steps and the value anywhere within a step, the error that all readings share
-    has the variance ``s(sigma) = sum over k of exp(-4 pi^2 k^2 sigma^2) / (2 pi^2 k^2)``, in steps squared. The error
-    that is new at each reading has ``sigma^2 + 1/12 - s(sigma)`` (Widrow and Kollar 2008, the mean of a rounded normal
-    variable).
-
-    The rounding of each axis is an error of its own: an axis that lies next to an edge jumps to and fro, and is known
-    well, which tells nothing of the others. The variance of the mean is that of the three axes on average.
+    rounding error. Let the noise be sigma steps, and the value anywhere within a step. The error common to all readings
+    then has the variance ``s(sigma) = sum over k of exp(-4 pi^2 k^2 sigma^2) / (2 pi^2 k^2)``, in steps squared. The
+    independent error of each reading has ``sigma^2 + 1/12 - s(sigma)`` (Widrow and Kollar 2008, the mean of a rounded
+    normal variable). The rounding of each axis is independent: an axis next to an edge alternates and is known well,
+    without information on the others. The variance of the mean is that of the three axes on average.
     """
     lengths = np.diff(starts, append=len(samples))
     means = np.add.reduceat(samples, starts) / lengths[:, None]

@@ -8,7 +8,7 @@ import scipy
 from mavcal.calib.stats.residuals import Array, first_correlation
 
 LONGEST = 1 << 17
-"""Samples looked at: enough for the time constant of any movement by hand."""
+"""Most samples used: enough for the time constant of any movement by hand."""
 
 _SIGNIFICANT = 3.0  # standard deviations of the first correlation below which residuals count as white
 
@@ -17,7 +17,7 @@ def variance_inflation(series: Array) -> float:
     """Factor on the variance of the sum of `series` (N,), in order of time, over that of white noise.
 
     The factor is ``1 + 2 sum rho_k`` up to the first pair of correlations that is not positive (Geyer 1992, initial
-    positive sequence); for an AR(1) process it is ``(1 + rho)/(1 - rho)`` (METHODS 3.5). White series: exactly 1.
+    positive sequence). For an AR(1) process it is ``(1 + rho)/(1 - rho)`` (METHODS 3.5). White series: exactly 1.
     """
     series = series[:LONGEST]
     n = len(series)
@@ -35,8 +35,8 @@ def variance_inflation(series: Array) -> float:
 def weakened_information(information: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
     """`information` (p, p) of a least squares fit reduced for serial correlation, and the largest factor.
 
-    The error of the estimate is a sum of scores ``J_k r_k``, not of residuals. A misfit that the movement keeps turning
-    through the parameters therefore costs less than one that sits still. Each of the p eigenvectors of the information,
+    The error of the estimate is a sum of scores ``J_k r_k``, not of residuals. A misfit that the movement rotates
+    through the parameters therefore costs less than a constant one. Each of the p eigenvectors of the information,
     whose scores are uncorrelated with each other, is weakened by its own factor.
 
     Parameters

@@ -1,12 +1,11 @@
 """Least-squares ellipsoid of a cloud of samples, plain or robust, with its covariance; or averaged over its soft iron.
 
-To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice. Next to the
-threshold the stated uncertainty is too small. Where the movement was small, "no soft iron seen" is no evidence of "no
-soft iron". So the soft iron has a prior, ``S/r - I ~ N(0, sd^2)``, with one scale for its diagonal and one for its
-cross terms. The answers over all sizes of both scales are averaged by their marginal likelihood (Laplace; all scales
-alike beforehand). Where the data determine the soft iron the priors say nothing; where they do not, the answer goes
-over to that of a sphere smoothly. The model that is named beside it is the one with the least information criterion
-(BIC).
+Choosing between sphere, three radii and the full matrix, and ignoring the others, is wrong for two reasons. Near the
+threshold the stated uncertainty is too small. After a small movement, "no soft iron seen" is not evidence of "no soft
+iron". So the soft iron has a prior, ``S/r - I ~ N(0, sd^2)``, with one scale for its diagonal and one for its cross
+terms. The results for all sizes of both scales are averaged by their marginal likelihood (Laplace; flat over the
+scales). If the data determine the soft iron, the priors have no effect; otherwise the result approaches that of a
+sphere smoothly. The model that is named beside it is the one with the least information criterion (BIC).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _SCALE_ROUNDS = 4
 _SINGULAR = 1e-13  # smallest over largest information that is more than rounding
 _MEASURED_NOISE = 30  # degrees of freedom from which on residuals know the noise better than a data sheet
 SOFT_IRON_SD = 0.1
-"""Prior of each relative term of soft iron, believed of any compass: a vehicle with 20 % is two sd out."""
+"""Prior sd of each relative soft-iron term of any compass: a vehicle with 20 % is at two sd."""
 
 _SCALES = (1.0, 10**-0.5, 0.1, 10**-1.5, 0.01)  # of that; a thousandth of the field is a compass without soft iron
 _ROUNDS = 2  # the likelihood is quadratic about the likeliest scale, not about the first one

@@ -1,6 +1,6 @@
 """Extremes, sphere and ellipsoid along the axes: fits without iteration, and starting values (METHODS S1, S5).
 
-The middle and half of the range of every axis check nothing. The sphere has offset and radius by one linear system.
+The middle and half of the range of every axis have no residual. The sphere has offset and radius by one linear system.
 
 The ellipsoid along the axes comes from normal equations and their Cholesky factor,
 ``[x^2 y^2 z^2 x y z] . (a b c d e f) = 1``: offsets ``-d/2a, -e/2b, -f/2c``, radii ``sqrt(k/a) ...`` with
@@ -36,7 +36,7 @@ ALONG_AXES = "mag-ellipsoid-axis"
 def _fitted(
     method: str, least: int, samples: ArrayLike, facts: MagFacts, solve: Callable[[Array], ShapeFit]
 ) -> FitResult:
-    """The verdict on what `solve` makes of at least so many samples; refused where they determine nothing."""
+    """The verdict on the result of `solve`; refused with fewer than `least` samples, or if they determine nothing."""
     context = MagContext(**facts)
     array = np.asarray(samples, dtype=np.float64)
     try:
@@ -74,9 +74,9 @@ def fit_minmax(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
 
     Notes
     -----
-    Taken as the standard deviation of an extreme: the residual s of the corrected length, with all the soft iron and
-    missing directions that are in it. Half a range is too long besides, by up to ``s_w sqrt(2 ln N)`` with the white
-    noise s_w: the extremes are those of the noise.
+    The standard deviation of an extreme is the residual s of the corrected length, which includes soft iron and missing
+    directions. Half a range is also too long by up to ``s_w sqrt(2 ln N)`` for white noise s_w, since the extremes
+    include noise.
     """
     return _fitted(MINMAX, 4, samples, facts, _from_extremes)
 
@@ -139,7 +139,7 @@ def solve_sphere(samples: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
-    """Fit offset and radius; soft iron is left in (3 to 9 % of it cost that much of the field).
+    """Fit offset and radius, neglecting soft iron (3 to 9 % of the field).
 
     Parameters and errors are those of :func:`fit_minmax`, with N >= 5.
 
@@ -203,7 +203,7 @@ def solve_coefficients(normal: Array, right: Array) -> Array:
 def offset_and_radii(coefficients: Array) -> tuple[Array, Array]:
     """Offset (3,) and radii (3,) of ``(a b c d e f)``.
 
-    All of a, b, c negative is an ellipsoid too, one whose inside does not hold the origin.
+    If a, b and c are all negative, it is an ellipsoid that does not enclose the origin.
 
     Raises
     ------

@@ -39,7 +39,7 @@ _KNOWN = 16  # samples from which on their scatter tells the uncertainty of thei
 
 
 def accel_one_axis(source: Source, options: Options) -> list[FitResult]:
-    """The longest rest, else every sample."""
+    """Fits the longest rest, else every sample."""
     fits = []
     for accel in source.channels(Sensor.ACCEL):
         part = source.longest_rest(accel)
@@ -101,7 +101,7 @@ def _faces(source: Source, accel: Channel, options: Options) -> tuple[list[Face]
 
 
 def _face_means(parts: Sequence[tuple[Array | None, Channel]], *, all_samples: bool) -> list[Face]:
-    """Face that is down and mean of every part, the noise shared by all of them; or sample by sample."""
+    """Face that is down and mean of every part, with a common noise; or one face per sample."""
     means = iter(() if all_samples else means_together([part for _, part in parts if len(part) > 1]))
     faces = []
     for down, part in parts:

@@ -1,8 +1,8 @@
-"""Methods for the magnetometer, each on the stretches of a recording that share its magnetic surroundings.
+"""Methods for the magnetometer, each on the parts of a recording with the same magnetic surroundings.
 
-A bench and a flight differ: steel nearby, the field of motors that run, a battery that was changed. A recording is
-taken apart where the vehicle was armed or disarmed and where it paused; the stretch that determines the compass best is
-the measure of the others.
+A bench and a flight differ: nearby steel, the field of running motors, a changed battery. A recording is split where
+the vehicle was armed or disarmed, and at pauses. The others are compared with the part that determines the compass
+best.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from mavcal.calib.recording import Array, Channel, Recording, Sensor, concatenat
 from mavcal.calib.stats.windows import finite_rows
 
 _PAUSE = 10.0
-"""s without a sample, and twenty intervals: what surrounded the compass may be other things afterwards."""
+"""Pause, s (and twenty sample intervals), after which the surroundings of the compass may have changed."""
 _FEWEST = 30  # samples of a stretch that is looked at
 _BORDERS = ("armed", "disarmed", "reboot")  # kinds of events between which surroundings stay
 _WORSE = 1.5  # times the residual of the measure that a stretch of the same surroundings may have
 _VISIBLE = 0.005  # of the field: less is no other surroundings
 _UPRIGHT = np.cos(np.radians(10.0))
-"""An axis within this of the vertical is down, or up."""
+"""Cosine of the angle to the vertical within which an axis counts as down, or up."""
 
 _DEBLURRED = 2
-"""Rounds of blur and fit: the blur is known as well as the model that it needs."""
+"""Iterations of blur correction and fit, since each needs the result of the other."""
 
 _FIELD = (
     Option("year", float, None, "decimal year: ties the scale to the World Magnetic Model at the recorded place"),
@@ -58,7 +58,7 @@ _FIELD = (
 
 @dataclass(frozen=True)
 class _Part:
-    """Some of the samples of a compass, in one piece, and what is fitted to them."""
+    """One contiguous part of a compass's samples, and its fit."""
 
     mag: Channel
     fit: FitResult
@@ -69,7 +69,7 @@ class _Part:
 
 
 def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], FitResult]) -> FitResult:
-    """The fit of those stretches of `mag` that had the same surroundings, and what was left out in its warnings."""
+    """Fit of the parts of `mag` with the same surroundings; its warnings name the parts left out."""
     parts = _parts(source, mag)
     if len(parts) < 2:
         return fit(mag)
@@ -99,7 +99,7 @@ def _plausible(fit: FitResult) -> bool:
 
 
 def _parts(source: Source, mag: Channel) -> list[Channel]:
-    """The stretches between which the surroundings may have changed, those of some samples."""
+    """The parts between which the surroundings may have changed, without very short ones."""
     if not source.timed or len(mag) < 2 * _FEWEST:
         return []
     steps = np.diff(mag.t)
@@ -112,7 +112,7 @@ def _parts(source: Source, mag: Channel) -> list[Channel]:
 
 
 def _departure(fit: FitResult, measure: Channel, part: Channel) -> float:
-    """Spread of the length of the field of `part`, relative, by the model of `fit`; robust against a few."""
+    """Robust relative spread of the field strength in `part` after correction by `fit`."""
     length = float(np.median(np.linalg.norm(fit.model.apply(measure.values), axis=1)))
     off = np.abs(np.linalg.norm(fit.model.apply(part.values), axis=1) / length - 1.0)
     return float(np.sqrt(np.mean(np.minimum(off, np.percentile(off, 95.0)) ** 2)))
@@ -134,7 +134,7 @@ def _times(source: Source, mag: Channel) -> Array | None:
 
 
 def _field(source: Source, mag: Channel, options: Options) -> EarthField | None:
-    """The field that is known: stated, or the model's where and when it was recorded; None: the scale stays open."""
+    """Known field: stated, or the model's at the place and time; None: the scale stays undetermined."""
     year, strength = options["year"], options["field"]
     if (year is None and strength is None) or mag.unit != "uT":
         return None
@@ -164,7 +164,7 @@ def mag_of(fit: Callable[..., FitResult]) -> Callable[[Source, Options], list[Fi
 
 
 def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
-    """The full ellipsoid; where the firmware averages the compass and a gyroscope is there, its blur is undone."""
+    """The full ellipsoid; if the firmware averages the compass and there is a gyroscope, the blur is removed."""
     robust = {"auto": None, "yes": True, "no": False}[options["robust"]]
     window = COMPASS_WINDOW.get(source.recording.identity.autopilot or "", 0.0)
     gyro = source.maybe(Sensor.GYRO, 0)
@@ -183,7 +183,7 @@ def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_rings(source: Source, options: Options) -> list[FitResult]:
-    """Rings by the column segment, else by the axis that the accelerometer shows to be down."""
+    """Rings by the segment column, else by the axis that is down according to the accelerometer."""
     fits = []
     order = _stated_order(options["order"])
     for mag in source.channels(Sensor.MAG):
@@ -277,7 +277,7 @@ def mag_align(source: Source, options: Options) -> list[FitResult]:
 
 
 def _aligned(source: Source, mag: Channel, vertical: Vertical, window: float, options: Options) -> FitResult:
-    """One magnetometer against the vertical, the blur of its averaging over `window` seconds undone."""
+    """One magnetometer against the vertical, without the blur of averaging over `window` seconds."""
     facts = {"gate": options["gate"], "time_offset": options["time_offset"], **_mag_facts(source, mag, options)}
     if window == 0.0 or vertical.gyro is None or vertical.gyro_t is None:
         return fit_alignment(mag.t, mag.values, vertical, **facts)
@@ -294,7 +294,7 @@ def _aligned(source: Source, mag: Channel, vertical: Vertical, window: float, op
 
 
 def _steadiest(recording: Recording, options: Options) -> Channel:
-    """The accelerometer whose length is nearest to gravity in most of its samples, or the one that is asked for."""
+    """The requested accelerometer, or the one whose length is nearest to gravity in most samples."""
     asked = options["accel"]
     channels = [
         recording.channel(Sensor.ACCEL, i)
@@ -310,7 +310,7 @@ def _steadiest(recording: Recording, options: Options) -> Channel:
 
 
 def mag_gyro(source: Source, options: Options) -> list[FitResult]:
-    """Every compass against the first gyroscope; the blur of a firmware that averages is undone."""
+    """Every compass against the first gyroscope; the blur of an averaging firmware is removed."""
     window = COMPASS_WINDOW.get(source.recording.identity.autopilot or "", 0.0)
     gyro = source.recording.channel(Sensor.GYRO, 0)
     return [

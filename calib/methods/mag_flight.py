@@ -60,7 +60,7 @@ def mag_flight(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_motor(source: Source, options: Options) -> list[FitResult]:
-    """Every compass against every drive that the flight has."""
+    """Every compass against every drive signal in the flight."""
     drives = _drives(source, options["drive"])
     return [
         _fitted(source, mag, options, MOTOR, lambda mag, turning, facts: fit_motor(mag, turning, drives, **facts))
@@ -139,7 +139,7 @@ def _facts(source: Source, mag: Channel, turning: Turning, options: Options) -> 
 
 
 def _field(source: Source, mag: Channel, turning: Turning, options: Options) -> EarthField | None:
-    """Field of the magnetic model where and when it flew; None: not known."""
+    """Field of the magnetic model at the place and time of the flight; None: not known."""
     strength = options["field"]
     if mag.unit != "uT":
         return None
@@ -168,7 +168,7 @@ def _year(source: Source) -> float | None:
 
 
 def _drives(source: Source, asked: str) -> list[Drive]:
-    """What may drive the motors' field, the simplest first."""
+    """Possible drive signals of the motors' field, the simplest first."""
     if asked == "none":
         return []
     kinds = list(DriveKind) if asked == "auto" else [DriveKind(asked)]

@@ -28,7 +28,7 @@ Fit = Callable[[Source, Options], Sequence[FitResult]]
 
 
 class FindingKind(StrEnum):
-    """What a method finds, in words for a sentence: it decides what a fit can be exported as."""
+    """What a method determines, worded for a sentence; it decides the possible exports of a fit."""
 
     CORRECTION = "a constant correction"
     DRIFT = "a correction that moves with temperature"
@@ -37,17 +37,17 @@ class FindingKind(StrEnum):
 
 
 MIN_STILL = Option("min_still", float, HOLD_S, "s for which a pose was held at least; shorter ones are no poses")
-"""What every method takes that finds still poses by itself."""
+"""Option of every method that finds still poses itself."""
 SPAN = (
     Option("from", float, None, "s on the recording's clock: nothing before it is used"),
     Option("until", float, None, "s on the recording's clock: nothing after it is used"),
 )
-"""What every method takes beside its own: the part of the recording that counts."""
+"""Options of every method: the part of the recording to use."""
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """How a method that takes a vehicle's log is advised for it."""
+    """Advice on a method for a vehicle's log."""
 
     order: int
     """Place among the suggestions."""
@@ -74,7 +74,7 @@ class Method:
 
     @property
     def summary(self) -> str:
-        """One line that says what the method finds."""
+        """One line on what the method determines."""
         return ENTRIES[self.name].summary
 
     def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:
@@ -161,7 +161,7 @@ PLACE = (
     Option("latitude", float, None, "degrees: gravity of the place in place of the standard one"),
     Option("altitude", float, None, "m above the ellipsoid, with latitude; 0 where not said"),
 )
-"""Beside :data:`GRAVITY`: the normal gravity of where it was recorded."""
+"""Alternative to :data:`GRAVITY`: normal gravity at the place of the recording."""
 GRAVITY = Option("gravity", float, None, "length of gravity in the unit of the samples; 9.80665 m/s2 where not said")
 FIXTURE = Option("fixture_sd", float, 0.0, "tilt of the fixture, standard deviation in degrees")
 

@@ -16,17 +16,17 @@ from mavcal.calib.stats.still_limits import HELD, HOLD_S, MANY_MORE, RESTING, SH
 from mavcal.calib.stats.stillness import Still, find_still
 
 _TURNED_COS = 0.5
-"""Cosine of 60 degrees: nothing turns by that and more at every sample, so such rows are poses."""
+"""Cosine of 60 degrees: no vehicle turns by more at every sample, so such rows are poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A recording with the calibration in force undone, and what of it is asked for."""
+    """A recording with the calibration in force undone, and the requested instances."""
 
     recording: Recording
     instance: int | None
     streamed: Recording
-    """As it was read: what helps to calibrate another sensor is best with its own calibration in force."""
+    """The recording as read; an auxiliary sensor is best used with its own calibration in force."""
 
     @classmethod
     def of(cls, recording: Recording, instance: int | None) -> Source:
@@ -35,7 +35,7 @@ class Source:
         return cls(undo(recording) if known else recording, instance, recording)
 
     def channels(self, sensor: Sensor) -> tuple[Channel, ...]:
-        """The channel of every instance that is asked for."""
+        """The channel of every requested instance."""
         have = self.recording.instances(sensor)
         wanted = have if self.instance is None else (self.instance,)
         usable = [i for i in wanted if self._usable(sensor, i)] or [wanted[0] if wanted else 0]
@@ -63,14 +63,14 @@ class Source:
 
     @property
     def timed(self) -> bool:
-        """Whether the time stamps are times: a table without them has counted rows."""
+        """Whether the time stamps are real; a table without them has row numbers."""
         return not any(event.kind == NO_TIME for event in self.recording.events)
 
     def readings(self, channel: Channel) -> bool:
         """Whether every row of `channel` is a single reading of a face, a pose or a turn.
 
-        So are the rows of a table without time. With a time stamp they are where a rest cannot show, as fewer than two
-        rows are in the shortest one. So they are, too, where the sensor lies another way at every row.
+        Rows of a table without time are. Timed rows are if the shortest rest would have fewer than two of them, or if
+        the orientation changes in every row.
         """
         if self.of_vehicle or self.recording.segments or len(channel) < 2:
             return not self.timed
@@ -85,7 +85,7 @@ class Source:
     def stills(self, instance: int, *, held: bool, min_still: float = HOLD_S) -> tuple[Still, ...]:
         """Labelled segments, else the still spans of the recording; none in a table without time.
 
-        A vehicle's spans count only with the motors off: a good hover passes for still. Poses are held for `min_still`
+        A vehicle's spans count only with the motors off, since a good hover looks still. Poses are held for `min_still`
         seconds at least.
         """
         if self.recording.segments:
@@ -97,7 +97,7 @@ class Source:
         return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
 
     def held_too_short(self, fit: FitResult, instance: int, min_still: float) -> FitResult:
-        """A refused `fit` with the duration of the poses, where more were held for less than `min_still` s."""
+        """`fit` with a hint on the hold time if it was refused and more poses were held for less than `min_still` s."""
         if fit.status != FitStatus.REFUSED or self.recording.segments or not self.timed:
             return fit
         found = len(self.stills(instance, held=True, min_still=min_still))
@@ -110,7 +110,7 @@ class Source:
         return fit
 
     def flown_throughout(self, instance: int) -> bool:
-        """Whether a vehicle was armed and never at rest: then none of it is a rest, not even the whole."""
+        """Whether the vehicle was armed and never at rest, so that the whole recording is not a rest either."""
         armed = any(event.kind == "armed" for event in self.recording.events)
         return self.of_vehicle and armed and not self.stills(instance, held=False)
 

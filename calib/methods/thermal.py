@@ -1,6 +1,6 @@
 """Methods for drift with temperature: of one recording, or of several tables of a device.
 
-Several tables have one temperature curve, cross-validated, and an offset for each.
+Several tables share one cross-validated temperature curve, with an offset each.
 """
 
 from __future__ import annotations
@@ -48,17 +48,16 @@ class Outside:
     slope: float
     polynomial: float
     clamped: float
-    """By the polynomial held at the ends of its range, as a firmware does."""
+    """With the polynomial clamped at the ends of its range, as in the firmwares."""
     low: float
     high: float
-    """degC that the others covered."""
+    """Highest temperature of the others, degC."""
 
 
 def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptions, *, relative: bool) -> FitResult:
     """The common curve of one sensor in several tables: its samples and a temperature (N,) for each, degC.
 
-    A slope takes the place of the polynomial where it leaves less of a table that was held out, outside the range of
-    the others.
+    A straight line replaces the polynomial if it predicts held-out tables better outside the range of the others.
     """
     degree = options.degree
     found = outside_of(tables, degree)
@@ -88,7 +87,7 @@ def fit_tables(tables: Sequence[tuple[Channel, Array]], options: PolynomialOptio
 
 
 def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside | None:
-    """Each table held out in turn; None where none reaches beyond the temperatures of the others, or degree is 1."""
+    """Prediction of each held-out table; None if none exceeds the temperatures of the others, or `degree` is 1."""
     thinned = [_thinned(channel, temperature) for channel, temperature in tables]
     squares, count, reach = np.zeros(3), 0, (np.inf, -np.inf)
     for k, (t, y) in enumerate(thinned):
@@ -114,7 +113,7 @@ def outside_of(tables: Sequence[tuple[Channel, Array]], degree: int) -> Outside 
 
 
 def _comparison(found: Outside, degree: int, used_degree: int, unit: str) -> str:
-    """The comparison in a sentence, and what clamping costs."""
+    """Sentence that compares polynomial and line outside the range, and states the cost of clamping."""
     better = "a slope is fitted" if used_degree == 1 else f"degree {used_degree} stays"
     cost = found.clamped / max(min(found.slope, found.polynomial), 1e-300)
     return (
@@ -145,7 +144,7 @@ def _powers(t: Array, degree: int, low: float, high: float) -> Array:
 
 
 def _joined(tables: Sequence[tuple[Channel, Array]]) -> tuple[Channel, Array, NDArray[np.intp]]:
-    """One channel after the other on one clock, their temperatures, and the table of each row."""
+    """The channels one after the other on one clock, their temperatures, and the table of each row."""
     times, end = [], 0.0
     for channel, _ in tables:
         times.append(channel.t - channel.t[0] + end)
@@ -174,7 +173,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
 
 
 def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalRequest) -> list[FitResult]:
-    """The same from what vehicles logged: only their rests on the ground."""
+    """Fits from vehicle logs, using only their rests on the ground."""
     for source in sources:
         if not source.recording.instances(Sensor.TEMPERATURE):
             raise InvalidInputError(no_temperature(source.recording))
@@ -194,7 +193,7 @@ def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalRequest
 
 
 def _logged(sources: Sequence[Source]) -> bool:
-    """Whether vehicles streamed or logged them, without labels.
+    """Whether the sources are unlabelled streams or logs of vehicles.
 
     Raises
     ------
@@ -210,7 +209,7 @@ def _logged(sources: Sequence[Source]) -> bool:
 
 
 def thermal_linear(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """Accelerometers and gyroscopes against their temperature, straight lines; several logs of one vehicle together."""
+    """Straight lines of accelerometers and gyroscopes over temperature; several logs of one vehicle together."""
     through = _point(options)
     if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
@@ -260,7 +259,7 @@ def _point(options: Options) -> Array | None:
 
 
 def thermal_poly(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """Accelerometers and gyroscopes against their temperature, polynomials; several logs of one vehicle together."""
+    """Polynomials of accelerometers and gyroscopes over temperature; several logs of one vehicle together."""
     if _logged(sources):
         degree = options["degree"]
         if not 1 <= degree <= 5:
@@ -309,7 +308,7 @@ def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_thermal(sources: Sequence[Source], options: Options) -> list[FitResult]:
-    """Every compass against its temperature, in one pose or the labelled ones; or several recordings of one device."""
+    """Every compass over temperature, in one or several labelled poses; or several recordings of one device."""
     fits = []
     for mag in sources[0].channels(Sensor.MAG):
         poses, relative = [], False

@@ -1,6 +1,6 @@
 """Judges which methods are worthwhile on a vehicle's log, each with its reason.
 
-A method that takes a log names its judgement in its own entry (:class:`calib.methods.method.Suggestion`).
+A method that takes a log has its judgement in its own entry (:class:`calib.methods.method.Suggestion`).
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def ellipsoid(trip: LoggedTrip) -> tuple[bool, str]:
 
 
 def _attitudes(recording: Recording) -> tuple[int | None, float]:
-    """Sectors of 30 degrees that the heading visited, and the tilt that a hundredth of the time exceeds, degrees."""
+    """Number of 30-degree sectors that the heading visited, and the tilt exceeded for 1 % of the time, degrees."""
     found = recording.find(Sensor.ATTITUDE)
     q = found[0].values[finite_rows(found[0].values)] if found else np.zeros((0, 4))
     if len(q) < 20:

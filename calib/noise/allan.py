@@ -7,8 +7,8 @@ known spectrum add in it,
 ``avar(tau) = N^2/tau + (2 ln 2/pi) B^2 + K^2 tau/3``.
 
 The estimates at different tau are correlated. Their covariance follows from the spectrum, ``cov = 2/n int |H_m|^2
-|H_m'|^2 S^2`` (the fourth moment of Gaussian noise). So N, B and K come by generalised least squares with an sd that
-holds. The usual readings, N at tau = 1, B at the minimum and K at tau = 3, are reported beside it.
+|H_m'|^2 S^2`` (the fourth moment of Gaussian noise). Generalised least squares therefore gives N, B and K with a valid
+sd. The usual readings, N at tau = 1, B at the minimum and K at tau = 3, are reported beside it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ Array = NDArray[np.float64]
 FLICKER = 2.0 * np.log(2.0) / np.pi
 """Allan variance of bias instability B = 1: the flat part lies at 0.664 B."""
 TERMS = ("N", "B", "K")
-"""White noise (unit/sqrt(Hz)), bias instability (unit), rate random walk (unit/sqrt(s)); half a spectrum's sides."""
+"""White noise (unit/sqrt(Hz)), bias instability (unit), rate random walk (unit/sqrt(s)); N^2 is a two-sided density."""
 
 _CHUNK = 16_384  # samples worked on while they are in the cache
 _LONGEST = 6  # the longest averaging time is this part of the recording
 _FREQUENCIES = 12_000
 MISFIT = 0.01
-"""Chance below which a record does not follow the model."""
+"""P-value below which a record contradicts the model."""
 _DEPARTURE = 0.08  # of the deviation: a shortest averaging time that lies farther from the others' model is left out
 _MODEL_ERROR = 0.05  # of the variance: no sensor is these three noises exactly
 _LEAST_TAUS = 4
@@ -56,7 +56,7 @@ class AllanTable:
 class AllanFit:
     """N, B and K with their covariance, and where the data follow them.
 
-    A term that is not told from zero has the value 0 and the bound that the data put on it in `upper`.
+    A term indistinguishable from zero has the value 0, and its upper bound in `upper`.
     """
 
     values: Array  # (3,)
@@ -74,7 +74,7 @@ class AllanFit:
 
 
 def octaves(n: int) -> NDArray[np.intp]:
-    """Averaging times in samples, each about twice the one before, up to a sixth of `n`."""
+    """Averaging times in samples, in octaves up to a sixth of `n`."""
     if n < 2 * _LONGEST:
         return np.zeros(0, dtype=np.intp)
     top = np.log2(n / _LONGEST)
@@ -156,7 +156,7 @@ def fit_noise(table: AllanTable, n: int) -> AllanFit:
 
 @dataclass(frozen=True, eq=False)
 class _Spectrum:
-    """Transfer functions of the averaging times on scattered frequencies, and the three spectra there."""
+    """Transfer functions of the averaging times at sampled frequencies, and the three spectra there."""
 
     gain: Array  # (taus, F) |H|^2
     spectra: Array  # (3, F) of one unit of N^2, B^2, K^2
@@ -227,12 +227,12 @@ def _noise_fit(squares: Array, covariance: Array, **facts: object) -> AllanFit:
 
 
 def _start(design: Array, avar: Array) -> Array:
-    """Equal relative weights: right within a small factor."""
+    """Start values by least squares with equal relative weights, right within a small factor."""
     return _bounded(design, avar, np.diag(avar**2))[0]
 
 
 def _bounded(design: Array, avar: Array, covariance: Array) -> tuple[Array, Array]:
-    """Least squares with no variance below zero, over all sets of terms; the covariance is that of all three."""
+    """Non-negative least squares over all sets of terms; the covariance is that of all three."""
     half = np.linalg.cholesky(covariance)
     A, y = np.linalg.solve(half, design), np.linalg.solve(half, avar)
     size = np.linalg.norm(A, axis=0)

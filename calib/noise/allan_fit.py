@@ -55,9 +55,9 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
     -------
     FitResult
         ``native`` has the table: ``tau`` in s, ``adev``, its relative sd, the model. It has ``N`` (unit/sqrt(Hz)),
-        ``B`` (unit) and ``K`` (unit/sqrt(s)) with ``sd`` and ``upper``, the 95 % bound. A noise that is not told from
-        none is None and has only the bound. ``holds`` says where each slope holds (s); ``read_off`` has the usual
-        reading at tau = 1, at the minimum and at tau = 3.
+        ``B`` (unit) and ``K`` (unit/sqrt(s)) with ``sd`` and ``upper``, the 95 % bound. A noise indistinguishable from
+        zero is None and has only the bound. ``holds`` has the range of each slope (s), and ``read_off`` the usual
+        readings at tau = 1, at the minimum and at tau = 3.
     """
     if channel.values.shape[1] != 3:
         raise InvalidInputError(f"{channel.sensor}: three axes are needed, not {channel.values.shape[1]}")
@@ -94,7 +94,7 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
 
 
 def _even(channel: Channel) -> tuple[Array, float, list[str]]:
-    """Samples (N, 3) without gaps about their mean, their rate (Hz), and what had to be done for it.
+    """Samples (N, 3) without gaps and without their mean, their rate (Hz), and warnings about the repairs.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _even(channel: Channel) -> tuple[Array, float, list[str]]:
 
 
 def _disturbed(values: Array, rate: float) -> list[str]:
-    """Stretches that scatter far more than the others, as where the sensor was touched."""
+    """Warnings about periods that scatter far more than the others, as when the sensor was touched."""
     length = max(len(values) // _STRETCHES, 8)
     starts = np.arange(0, len(values) - length + 1, length // 2)  # halves shared
     scatter = np.sqrt([values[i : i + length].var(axis=0).sum() for i in starts])
@@ -156,7 +156,7 @@ def _disturbed(values: Array, rate: float) -> list[str]:
 
 
 def _filtered(tables: list[AllanTable], fits: list[AllanFit | None]) -> list[str]:
-    """Warnings where the shortest averaging times lie below the model, by a low-pass, or above it."""
+    """Warnings if the shortest averaging times lie below the model, due to a low-pass, or above it."""
     below: list[str] = []
     above: list[str] = []
     for axis, (table, fit) in enumerate(zip(tables, fits, strict=True)):
@@ -201,7 +201,7 @@ def _holds(table: AllanTable, fit: AllanFit) -> list[list[float] | None]:
 
 
 def _read_off(table: AllanTable, fit: AllanFit) -> dict[str, float | None]:
-    """N, B and K as they are usually read: the line of slope -1/2 at 1 s, the minimum, the line of +1/2 at 3 s."""
+    """N, B and K by the usual readings: the line of slope -1/2 at 1 s, the minimum, the line of slope +1/2 at 3 s."""
     tau, adev = table.tau[fit.used], table.adev[fit.used]
     slope = np.diff(np.log(np.maximum(adev, 1e-300))) / np.diff(np.log(tau))
     lowest = int(np.argmin(adev))

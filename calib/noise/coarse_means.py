@@ -1,9 +1,9 @@
 """Means of several parts of one quantised channel, with a common noise.
 
-Where the noise is below half a bin, two things tell how far a mean lies from the edge of its bin: how often the next
-bin is met, and the noise. One part alone hardly knows the noise: on six faces its means err by up to three times the
-bound that way. Here the likelihood of all parts is integrated over the noise, which they share, and over each mean, all
-values alike beforehand. That needs no large numbers: a few samples in a second bin count for what they are.
+If the noise is below half a bin, the distance of a mean from the edge of its bin follows from the noise and from the
+frequency of the next bin. One part alone hardly determines the noise: on six faces its means then err by up to three
+times the bound. Here the likelihood of all parts is integrated over their common noise and over each mean, with flat
+priors. This is not asymptotic: it is valid for a few samples in a second bin.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class PartMean:
 
 
 def means_together(parts: Sequence[Channel]) -> list[PartMean]:
-    """The mean of each of `parts`, which are of one sensor and rounded alike; in fine bins each stands for itself.
+    """Mean of each of `parts`, of one sensor and with equal rounding; parts in fine bins are independent.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def _coarse(alone: Sequence[QuantisedMean], axis: int, quantum: float) -> bool:
 
 
 def _replace(found: list[PartMean], parts: Sequence[Channel], alone: Sequence[QuantisedMean], axis: int) -> None:
-    """Put the means of `axis` with one noise for all parts in place."""
+    """Replace the means of `axis` by those with one noise for all parts."""
     quantum = parts[0].quantum
     counted = [_Counted.of(part, one, axis) for part, one in zip(parts, alone, strict=True)]
     noises = quantum * np.geomspace(_LEAST, _MOST, _NOISES)
@@ -79,7 +79,7 @@ def _replace(found: list[PartMean], parts: Sequence[Channel], alone: Sequence[Qu
 
 @dataclass(frozen=True, eq=False)
 class _Counted:
-    """One axis of a part: the edges of its bins (B,), how many independent samples each is worth, and where to look."""
+    """One axis of a part: the edges of its bins (B,), the effective number of samples in each, and the search range."""
 
     lower: Array
     upper: Array
@@ -97,7 +97,7 @@ class _Counted:
         return cls(distinct[:, 0] - distinct[:, 1], distinct[:, 0] + distinct[:, 1], worth, places)
 
     def posteriors(self, noises: Array) -> tuple[Array, Array, Array]:
-        """For each of `noises` (S,): logarithm of the likelihood over all means, and mean and variance of the mean."""
+        """For each of `noises` (S,): log-likelihood integrated over the mean, posterior mean and its variance."""
         likelihood = np.zeros((len(noises), len(self.places)))
         for low, high, worth in zip(self.lower, self.upper, self.worth, strict=True):
             a = (low - self.places) / noises[:, None]

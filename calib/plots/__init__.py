@@ -1,5 +1,5 @@
 """Pictures of a recording, of a fit and of a gap, drawn by ``calib/drawing``.
 
-The room knows its subjects by protocols: a recording, a fit and a gap report can therefore offer ``.plot()`` without a
-circle of imports.
+The package knows its subjects by protocols, so that recording, fit and gap report can offer ``.plot()`` without
+circular imports.
 """

@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 BEFORE: Final = "#b3261e"
 AFTER: Final = "#14713a"
 SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
-"""Axes of the sensor."""
+"""Colours of the axes x, y and z."""
 PALE: Final = ("#a9cae4", "#eecdad", "#cfbfe4")
-"""The same axes before."""
+"""Pale colours of the same axes, for values before the fit."""
 RULE: Final = "#6b7a86"
-"""Colour of what is expected."""
+"""Colour of the expected value."""
 MOST: Final = 4000
-"""Samples that are drawn; a recording has many more than a picture has dots."""
+"""Most samples that are drawn."""
 WIDTH, HEIGHT = 520, 340
 """Size of one panel."""
 ROW_HEIGHT = 220
@@ -27,7 +27,7 @@ ROW_HEIGHT = 220
 TOO_FEW: Final = "too few samples for a spectrum"
 NAMES: Final = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass"}
 _SEGMENT = 1024
-"""Samples of one segment of Welch's method, at most."""
+"""Most samples in one segment of Welch's method."""
 _LEAST = 16
 
 
@@ -52,7 +52,7 @@ def name_of(sensor: str, instance: int) -> str:
 
 
 def shown(unit: str) -> tuple[str, float]:
-    """The unit in which a person reads it, and the factor from `unit`."""
+    """Display unit, and the factor from `unit`."""
     if unit == "rad/s":
         return "deg/s", math.degrees(1.0)
     return {"m/s2": "m/s²", "degC": "°C", "uT": "µT"}.get(unit, unit), 1.0
@@ -66,7 +66,8 @@ def thinned(count: int) -> slice:
 def density(t: Array, values: Array) -> tuple[Array, Array] | None:
     """Frequencies (K,), Hz, and root power density (K, 3) by Welch's method; None: too few samples, or no times.
 
-    Samples at uneven times are interpolated to their mean rate: a spectrum near half of it is then too small.
+    Unevenly sampled data are interpolated to their mean rate; near the Nyquist frequency the spectrum is then too
+    small.
     """
     keep = np.isfinite(values).all(axis=1)
     t, values = t[keep], values[keep]

@@ -1,6 +1,6 @@
-"""Before and after a fit: its samples where they are given, else what the parameters say alone.
+"""Pictures of data before and after a fit: of its samples if given, else of the parameters alone.
 
-A fit by the method ``allan`` is its Allan deviation beside the model of white noise, bias instability and walk.
+A fit by the method ``allan`` is drawn as its Allan deviation and the model of white noise, bias instability and walk.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
 _MERIDIANS, _PARALLELS = 25, 13
 """Lines of the drawn ellipsoid."""
 _POLES: Final = ((0, 0), (90, 0), (0, 82), (172, 0), (-90, 0), (0, -82))
-"""Longitude and latitude of :data:`FACES`, degrees; the outermost ones inside the frame."""
+"""Longitude and latitude of :data:`FACES`, degrees; the outermost are moved inside the frame."""
 
 
 class PlottedFit(Protocol):
@@ -79,7 +79,7 @@ def _panels(fit: PlottedFit, channel: PlottedChannel | None, temperature: ArrayL
 
 
 def _sample_panels(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> list[Picture]:
-    """Residuals, beside what the method determines: a drift curve, the sphere, the directions that were visited."""
+    """Residuals, and the result of the method: a drift curve, the sphere, or the visited directions."""
     residuals = _rates(fit, t, raw, corrected) if fit.sensor == "gyro" else _lengths(fit, t, raw, corrected)
     if fit.model.polynomial is not None:
         return [_drift(fit), residuals]
@@ -99,7 +99,7 @@ def _check(fit: PlottedFit, channel: PlottedChannel) -> None:
 
 
 def _samples(fit: PlottedFit, channel: PlottedChannel, temperature: ArrayLike | None) -> tuple[Array, Array, Array]:
-    """Times from the first one (N,), raw and corrected values (N, 3), thinned to what can be seen."""
+    """Times since the first one (N,), raw and corrected values (N, 3), thinned for drawing."""
     every = thinned(len(channel.t))
     at = None if temperature is None else np.asarray(temperature, dtype=np.float64)
     if at is not None and at.shape != channel.t.shape:
@@ -122,7 +122,7 @@ def _rates(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> Chart:
 
 
 def _lengths(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> Chart:
-    """The length of every sample over time, beside the one that is expected."""
+    """Length of every sample over time, with the expected length."""
     symbol, expected = ("|B|", _field(fit, corrected)) if fit.sensor == "mag" else ("|f|", STANDARD_GRAVITY)
     before, after = (np.linalg.norm(values, axis=1) for values in (raw, corrected))
     limits = limits_of(before, after, [expected])
@@ -135,7 +135,7 @@ def _lengths(fit: PlottedFit, t: Array, raw: Array, corrected: Array) -> Chart:
 
 
 def _field(fit: PlottedFit, corrected: Array | None) -> float:
-    """Strength of the field to which the fit corrects; from the samples where the fit does not tell."""
+    """Field strength to which the fit corrects; from the samples if the fit does not state it."""
     radius, ratio = fit.quality.get("radius"), fit.quality.get("field_ratio")
     if radius is not None:
         return float(radius) / float(ratio or 1.0)
@@ -145,7 +145,7 @@ def _field(fit: PlottedFit, corrected: Array | None) -> float:
 
 
 def _sphere(fit: PlottedFit, raw: Array, corrected: Array) -> SpaceView:
-    """Tips of the measured vectors on the fitted ellipsoid, and on the sphere about the origin once corrected."""
+    """Measured vectors on the fitted ellipsoid, and corrected ones on the sphere about the origin."""
     sphere = _field(fit, corrected) * _globe()
     ellipsoid = fit.model.invert(sphere.reshape(-1, 3)).reshape(sphere.shape)
     everything = np.vstack([raw, corrected, sphere.reshape(-1, 3), ellipsoid.reshape(-1, 3)])
@@ -171,7 +171,7 @@ def _globe() -> Array:
 
 
 def _directions(fit: PlottedFit, corrected: Array) -> SphereMap:
-    """Directions of the corrected vectors in the sensor's axes: where there is no dot, nothing was measured."""
+    """Directions of the corrected vectors in the sensor's axes; areas without dots were not measured."""
     covered = fit.quality.get("coverage")
     share = "" if covered is None else f", {100.0 * float(covered):.0f} % of the sphere"
     drawn = SphereMap(f"Directions measured{share}", "", WIDTH - 80, HEIGHT)
@@ -182,7 +182,7 @@ def _directions(fit: PlottedFit, corrected: Array) -> SphereMap:
 
 
 def _drift(fit: PlottedFit) -> Chart:
-    """The fitted change of the offset with temperature, which is what is off before; the band is left afterwards."""
+    """Fitted drift of the offset, which is the error before correction; the band is the error afterwards."""
     curve = fit.model.polynomial
     assert curve is not None
     at = np.linspace(curve.t_min, curve.t_max, 121)
@@ -198,7 +198,7 @@ def _drift(fit: PlottedFit) -> Chart:
 
 
 def _by_direction(fit: PlottedFit) -> Chart:
-    """The correction by the parameters, without samples: in six directions of the true vector, or at rest."""
+    """Correction by the parameters alone: for six directions of the true vector, or at rest."""
     gyro = fit.sensor == "gyro"
     strength = 0.0 if gyro else STANDARD_GRAVITY if fit.sensor == "accel" else _field(fit, None)
     truths = np.zeros((1, 3)) if gyro else strength * np.vstack([np.eye(3), -np.eye(3)])
@@ -217,7 +217,7 @@ def _by_direction(fit: PlottedFit) -> Chart:
 
 
 def allan(native: Mapping[str, Any], unit: str) -> Chart:
-    """Measured deviation with its standard deviation as bars, the model as a line; an axis each."""
+    """Measured Allan deviation with error bars, and the model as a line, for each axis."""
     unit, factor = shown(unit)
     tau, adev = np.asarray(native["tau"], dtype=np.float64), factor * np.asarray(native["adev"], dtype=np.float64)
     models = [None if model is None else factor * np.asarray(model) for model in native["model_adev"]]

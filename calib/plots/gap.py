@@ -12,9 +12,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.plots.canvas import AFTER, BEFORE, ROW_HEIGHT, RULE, TOO_FEW, WIDTH, Array, density, shown, thinned
 
 MOST_ROWS = 4
-"""Sensors in one picture: those whose effects are largest."""
+"""Most sensors in one picture: those with the largest effects."""
 _LONGEST = 55
-"""Letters of the effects in a title."""
+"""Most letters of effect names in a title."""
 
 
 class PlottedSeries(Protocol):
@@ -52,12 +52,12 @@ def plotted(series: Sequence[PlottedSeries], title: str) -> Drawing:
 
 
 def _explained(series: PlottedSeries) -> float:
-    """Energy that the effects explain, in variances of one sample."""
+    """Energy of the effects, relative to the variance of one sample."""
     return float((series.modelled**2 / np.maximum(series.sigma, 1e-30) ** 2).mean())
 
 
 def _axis(series: PlottedSeries) -> int:
-    """The axis on which the effects are largest, or the residual where there is no effect."""
+    """The axis with the largest effects, or with the largest residual if there are none."""
     moved = series.modelled if series.modelled.any() else series.residual
     return int(np.argmax((moved**2).mean(axis=0) / np.maximum(series.sigma, 1e-30) ** 2))
 
@@ -79,7 +79,7 @@ def _over_time(series: PlottedSeries) -> Chart:
 
 
 def _effect_names(series: PlottedSeries) -> str:
-    """The effects, as many as there is room for."""
+    """Names of the effects, as many as fit into the title."""
     names = list(series.parts) or ["no effect"]
     for count in range(len(names), 1, -1):
         text = ", ".join(names[:count]) + (f" and {len(names) - count} more" if count < len(names) else "")

@@ -12,7 +12,7 @@ from mavcal.calib.firmware.slots import still_held
 from mavcal.calib.recording import Identity, Recording, Sensor
 
 SURE = 3.0
-"""Standard deviations by which a value must lie beyond its limit to fail; nearer to it, it is a warning."""
+"""Standard deviations by which a value must exceed its limit to fail; by less, it is a warning."""
 
 
 class Verdict(StrEnum):
@@ -68,10 +68,10 @@ ASKS = {
 
 @dataclass(frozen=True)
 class Measure:
-    """One number that a check rests on, and the most that it may be.
+    """One number of a check, and its limit.
 
-    `sd` holds the noise of the capture and what else limits the number; `of` says what was measured, `suspects` what
-    is off if the number is: several where nothing tells which of them.
+    `sd` includes the noise of the capture and other uncertainty. `of` names the measured quantity. `suspects` are the
+    possible causes if the number exceeds the limit: several if ambiguous.
     """
 
     of: str
@@ -81,9 +81,9 @@ class Measure:
     unit: str
     suspects: tuple[str, ...] = ()
     witness: str = ""
-    """A sentence on what tells the suspect, or on what would."""
+    """Sentence on the evidence that identifies the suspect, or that would."""
     remedy: str = ""
-    """What helps against this one; empty: what helps against the others of the check."""
+    """Remedy for this measure; empty: the remedy of the check."""
 
     @property
     def verdict(self) -> Verdict:
@@ -123,7 +123,7 @@ class Check:
     """What is off; several: all of them, or one of them and nothing tells which, as the reason says."""
 
     def because_of(self, cause: CheckId) -> Check:
-        """The same failure as a consequence of another check: the sensor cannot be judged before its repair."""
+        """The check as a consequence of another failure, before whose repair the sensor cannot be judged."""
         reason = f"{self.reason} This follows from {cause}, which failed."
         remedy = f"Mend {cause} first, then check again."
         return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy, suspects=())
@@ -169,9 +169,10 @@ def unknown(of: CheckId, reason: str, remedy: str = "", evidence: Sequence[str] 
 
 
 def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, notes: Sequence[str] = ()) -> Check:
-    """The check whose numbers these are; the worst one decides. `good` is the reason of a pass.
+    """The check with these measures; the worst one decides.
 
-    A number that is too uncertain to say anything leaves the check unknown only if no other one decides it.
+    `good` is the reason of a pass. A number too uncertain for a verdict makes the check unknown only if no other one
+    decides it.
     """
     worst = max(measures, key=_badness)
     verdict = worst.verdict
@@ -190,7 +191,7 @@ def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, 
 
 
 def counted(judged_: int, installed: int, one: str, more: str) -> str:
-    """The subject of a sentence on sensors; "all" only of all that are installed, 0: as many as were judged."""
+    """Subject of a sentence on sensors; "all" only if all installed ones were judged (0: as many as judged)."""
     if judged_ < installed:
         return f"{judged_} of {installed} {more}"
     return f"The only {one}" if judged_ == 1 else f"All {judged_} {more}"
@@ -251,21 +252,21 @@ class VerifiedCalibration:
     """When, wall-clock seconds since 1970."""
     sensors: frozenset[Sensor]
     device_ids: Mapping[str, int]
-    """As of :class:`calib.firmware.plan.Fingerprint`: ``accel0`` ..."""
+    """Keys as in :class:`calib.firmware.plan.Fingerprint`: ``accel0`` ..."""
     parameters: Mapping[str, Value]
     """Every calibration parameter as it stood afterwards."""
     temperatures: Mapping[int, float] = field(default_factory=dict)
-    """At which the accelerometers were calibrated, degC by instance."""
+    """Temperatures of the accelerometers' calibration, degC, by instance."""
     uid: str | None = None
     """Unique id of the autopilot; None: not known."""
     stated: Mapping[tuple[Sensor, int], int] = field(default_factory=dict)
-    """PX4: device ids that somebody stated, by streamed instance: no stream says them."""
+    """PX4: device ids stated by an operator, by streamed instance, since no stream contains them."""
 
 
 def stated_device_ids(
     history: Iterable[VerifiedCalibration], parameters: Mapping[str, Value]
 ) -> dict[tuple[Sensor, int], int]:
-    """The device ids that were stated last, as far as a row of a PX4 with `parameters` holds them."""
+    """The latest stated device ids that a row of a PX4 with `parameters` contains."""
     return still_held({key: device for entry in history for key, device in entry.stated.items()}, parameters)
 
 
@@ -284,14 +285,14 @@ class OwnView:
     present: bool | None = None
     """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on; None: not heard."""
     ready: bool | None = None
-    """Whether it would arm: ArduPilot by that bit among what is healthy, PX4 by that bit and by its heartbeat."""
+    """Whether it would arm: ArduPilot by the healthy state of that bit, PX4 also by its heartbeat."""
     asked: bool = False
     """Whether it took the request to run its checks."""
     texts: tuple[str, ...] = ()
-    """What it said against arming since then."""
+    """Texts against arming since then."""
     calibrating: bool | None = None
     ill: frozenset[Sensor] = frozenset()
-    """Kinds of sensors: it says that one of these is present, switched on and not healthy (SYS_STATUS, its texts)."""
+    """Kinds of sensors reported as present, enabled and not healthy (SYS_STATUS, texts)."""
 
 
 @dataclass(frozen=True)
@@ -324,13 +325,13 @@ class Snapshot:
     heading: float | None = None
     current_known: bool | None = None
     rewritten: tuple[str, ...] = ()
-    """Calibration parameters that took another value meanwhile."""
+    """Calibration parameters that changed during the snapshot."""
     complete: bool = True
-    """Whether every parameter was read: one that is not there then is one that the vehicle does not have."""
+    """Whether every parameter was read, so that a missing one does not exist on the vehicle."""
     messages: Mapping[int, int] | None = None
     """How many messages came with the inertial unit and the compass of each instance; None: not counted."""
     uncorrected: frozenset[tuple[Sensor, int]] = frozenset()
-    """Sensors that were heard, and whose calibration in force is not known."""
+    """Streamed sensors whose calibration in force is not known."""
 
     @property
     def stated(self) -> dict[tuple[Sensor, int], int]:

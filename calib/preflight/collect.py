@@ -39,7 +39,7 @@ SENSORS = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG})
 STATE_HZ = 2.0
 ATTITUDE_HZ = 5.0
 AGAINST = ("PreArm:", "Preflight Fail", "Arming denied", "Arm:")
-"""How both firmwares begin a text that says what stands against arming."""
+"""Beginnings of both firmwares' texts against arming."""
 
 
 def preflight_streams(autopilot: str) -> dict[int, float]:
@@ -50,7 +50,7 @@ def preflight_streams(autopilot: str) -> dict[int, float]:
 
 
 def wanted_messages(identity: Identity) -> frozenset[int]:
-    """The messages that are worth keeping."""
+    """Ids of the messages to keep."""
     return Assembler(identity).message_ids | {VIBRATION, SYS_STATUS, HEARTBEAT}
 
 
@@ -64,9 +64,9 @@ def counted_messages(frames: Iterable[Frame], autopilot: str) -> dict[int, int]:
 
 
 ENOUGH = LEAST + 5
-"""Messages of an instance that are enough to judge its sensors: some are spikes, or lost their numbers."""
+"""Messages of an instance that suffice to judge its sensors, allowing for spikes and invalid ones."""
 ENOUGH_S = 3.0
-"""Seconds of the vehicle's clock likewise: a compass is read ten times a second."""
+"""Time, s, of the vehicle's clock that suffices: a compass is read ten times a second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,11 +74,11 @@ class Gathered:
     """Progress of the streams."""
 
     messages: Mapping[int, int]
-    """By instance, of those that come at all."""
+    """Number of messages by instance, for instances with any."""
     enough: bool
     still: frozenset[int] = frozenset()
-    """Compasses that read one value all the time while another changes, or that are alone: one that is quieter than a
-    step of its message may show one yet. Where none of several changes no time helps."""
+    """Compasses with a constant reading while another changes, or alone: a compass quieter than one step of its message
+    may still change. If none of several changes, more time does not help."""
 
     @property
     def text(self) -> str:
@@ -107,7 +107,7 @@ def watched_s(frames: Iterable[Frame], autopilot: str) -> float:
 
 
 def without_words(frames: Iterable[Frame]) -> list[Frame]:
-    """The frames without STATUSTEXT and SYS_STATUS: they are of the vehicle's earlier checks."""
+    """The frames without STATUSTEXT and SYS_STATUS, which belong to the vehicle's earlier checks."""
     return [frame for frame in frames if frame.message_id not in (STATUSTEXT, SYS_STATUS)]
 
 
@@ -158,9 +158,9 @@ def collect(
 ) -> Collected:
     """Read `frames` of one vehicle, in their order.
 
-    `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
-    is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
-    `stated`: PX4's device ids by streamed instance, as :func:`calib.preflight.check.stated_device_ids` finds them.
+    `asked`: it accepted the request to run its checks. `complete`: every parameter was read, so that a missing one does
+    not exist. A compass whose correction is uncertain is left out. `stated`: PX4's device ids by streamed instance,
+    from :func:`calib.preflight.check.stated_device_ids`.
     """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])
@@ -191,7 +191,7 @@ def collect(
 
 
 def _ready(frames: Sequence[Frame], *, ready: bool, reported: bool) -> bool | None:
-    """PX4 sets the bit of the arming checks among what is healthy alone; without it the heartbeat tells."""
+    """Whether the vehicle is ready: PX4 sets the prearm bit only in the healthy mask, else the heartbeat decides."""
     if ready or reported:
         return ready
     heartbeat = _last(frames, HEARTBEAT)
@@ -206,9 +206,9 @@ def _corrected(
     *,
     complete: bool,
 ) -> Channel | None:
-    """PX4 streams its compasses as they are: the calibration in force makes of them what the vehicle uses.
+    """The channel as the vehicle uses it; None: the calibration in force is not known.
 
-    None: what is in force is not known.
+    PX4 streams its compasses raw, so the calibration in force is applied.
     """
     if channel.stage != Stage.RAW or channel.sensor != Sensor.MAG:
         return channel
@@ -223,7 +223,7 @@ def _corrected(
     board = {BOARD_ROTATION["px4"], *PX4_LEVEL}
     if not complete and not (ids | board | set(row.values())) <= set(parameters):
         return None
-    # still at rest: a rotated bin has no zero of its own, and the motors are off
+    # valid at rest: a rotated bin has no zero of its own, and the motors are off
     return dataclasses.replace(channel, values=model.apply(channel.values), stage=Stage.CORRECTED, zero_bin=None)
 
 

@@ -1,13 +1,10 @@
 """Checks compasses at rest: strength, dip and heading against the magnetic model, the others and the vehicle.
 
-A compass whose field has the wrong strength is disturbed; what its direction is then says nothing more, so the
-direction is judged of the others only.
-
-Where headings disagree, a third reference finds the compass at fault, or all candidates are named. Witnesses are the
-majority of three compasses, the dip of the field, a heading that the operator gives, and the vehicle's own heading. The
-last is a witness against the compass that it follows, and never for it.
-
-The compensation of the motors is judged by what it takes away at full power.
+A compass whose field has the wrong strength is disturbed and its direction meaningless, so the direction is judged for
+the others only. If headings disagree, a third reference identifies the faulty compass, or all candidates are named.
+References are the majority of three compasses, the dip of the field, a heading from the operator, and the vehicle's own
+heading. The last can only contradict the compass that it follows, never confirm it. The motor compensation is judged by
+its size at full power.
 """
 
 from __future__ import annotations
@@ -51,7 +48,7 @@ _REMEDY = "Measure the motor compensation again, or switch it off."
 
 @dataclass(frozen=True)
 class Headings:
-    """Every number on the direction of the field, by compass."""
+    """All measures of the field's direction, by compass."""
 
     dips: Mapping[int, Measure]
     pairs: Mapping[tuple[int, int], Measure]
@@ -61,7 +58,7 @@ class Headings:
 
 
 def blamed(found: Headings, *, followed: int) -> list[Measure]:
-    """All measures, each with what is off if it is; `followed`: the compass that the vehicle's heading follows."""
+    """All measures with their suspects; `followed` is the compass that the vehicle's heading follows."""
     together = not any(map(_off, found.pairs.values()))
     measures = [_dip_witness(i, m, found, together=together) for i, m in found.dips.items()]
     measures += [_pair(i, k, m, found, followed) for (i, k), m in found.pairs.items()]
@@ -162,7 +159,7 @@ class Upright:
     down: Array
     """Unit vector in the body frame, by the accelerometers."""
     north: Array | None
-    """True north by the vehicle itself, a unit vector in the body frame; None: it did not say."""
+    """True north from the vehicle's own attitude, a unit vector in the body frame; None: not reported."""
     heading: float | None
     """True heading that the operator knows, rad."""
 
@@ -170,7 +167,7 @@ class Upright:
 def compass_field(
     compasses: Mapping[int, Mean], silent: tuple[str, ...], field: EarthField | None, *, installed: int = 0
 ) -> Check:
-    """Strength of the field; `installed`: how many compasses there are, 0 for as many as were heard."""
+    """Check of the field strength; `installed`: number of compasses, 0 for as many as streamed."""
     if not compasses:
         why = f"No compass could be seen: {'; '.join(silent)}." if silent else "No compass was heard."
         return unknown(CheckId.COMPASS_FIELD, why, "Look at the compass, or fly without one on purpose.")
@@ -190,7 +187,10 @@ def compass_field(
 
 
 def _placed(measures: list[Measure], compasses: Mapping[int, Mean], field: EarthField) -> list[Measure]:
-    """The same measures. What all compasses share is no compass's fault; what one reads alone may be the place's."""
+    """The measures with suspects.
+
+    A deviation common to all compasses is not a compass's fault; a deviation of one alone may be that of the place.
+    """
     if not all(m.value > m.limit for m in measures):
         return measures
     strengths = [mean.norm for mean in compasses.values()]
@@ -213,7 +213,7 @@ def _placed(measures: list[Measure], compasses: Mapping[int, Mean], field: Earth
 
 
 def disturbed(compasses: Mapping[int, Mean], field: EarthField | None) -> frozenset[int]:
-    """The compasses whose strength surely is wrong."""
+    """The compasses whose field strength is certainly wrong."""
     return frozenset(i for i, mean in compasses.items() if _strength(i, mean, field).verdict == Verdict.FAIL)
 
 
@@ -241,8 +241,8 @@ def compass_direction(
 ) -> Check:
     """Dip against the model; heading between compasses, against the vehicle's own and a known one.
 
-    `installed`: how many compasses there are, 0 for as many as were heard. `declination`: the one set by hand, against
-    the model. `followed`: the compass that the vehicle's own heading rests on, which is no witness for that one.
+    `installed`: how many compasses there are, 0 for as many as were heard. `declination`: the manual setting against
+    the model. `followed`: the compass behind the vehicle's own heading, which therefore cannot confirm that compass.
     """
     of = CheckId.COMPASS_DIRECTION
     if not compasses:
@@ -269,7 +269,7 @@ def compass_direction(
 
 
 def _agreed(judged_: int, installed: int, field: EarthField | None, upright: Upright) -> str:
-    """Text of a pass: it names only what was compared."""
+    """Text of a pass, which names only what was compared."""
     with_ = ["the model"] if field is not None else []
     with_ += ["each other"] if judged_ > 1 else []
     with_ += ["the vehicle's own heading"] if field is not None and upright.north is not None else []
@@ -305,7 +305,7 @@ def _headings(
 
 
 def set_declination(autopilot: str, parameters: Mapping[str, Value], field: EarthField | None) -> Measure | None:
-    """A declination that was set by hand against the model's; None: the vehicle looks it up, or nothing is known.
+    """Manually set declination against the model's; None: the vehicle looks it up, or it is not known.
 
     ArduPilot: COMPASS_AUTODEC and COMPASS_DEC (rad); PX4: bit 0 of EKF2_DECL_TYPE and EKF2_MAG_DECL (deg).
     """
@@ -340,7 +340,7 @@ def _dip(i: int, mean: Mean, upright: Upright, field: EarthField) -> Measure:
 
 
 def _between(i: int, one: Mean, k: int, other: Mean, upright: Upright) -> Measure:
-    """The tilt is the same for both, so its error counts only by their difference, which is small."""
+    """Difference of two headings; the tilt is common, so its error matters only through their small difference."""
     limit = limits.COMPASS_ANGLE
     off = abs(_turn(upright.down, one.value, other.value))
     sd = math.hypot(_heading_sd(one, upright, tilt=0.0), _heading_sd(other, upright, tilt=0.0))
@@ -365,7 +365,7 @@ def _known_north(upright: Upright) -> Array | None:
 
 
 def _heading_sd(mean: Mean, upright: Upright, tilt: float) -> float:
-    """Standard deviation of a compass's heading, rad: noise and surroundings over its level part, tilt times dip."""
+    """Standard deviation of a heading, rad: noise and disturbance over the horizontal field, and tilt times dip."""
     level = max(float(np.linalg.norm(_level(upright.down, mean.value))), 1e-6)
     vertical = abs(float(mean.value @ upright.down))
     across = math.hypot(float(mean.sd.max()), limits.SURROUNDINGS_SD)
@@ -383,7 +383,7 @@ def _turn(down: Array, start: Array, end: Array) -> float:
 
 
 def _rotated(vector: Array, axis: Array, angle: float) -> Array:
-    """`vector`, which lies across `axis`, turned by `angle` about it."""
+    """`vector`, perpendicular to `axis`, rotated by `angle` about it."""
     return np.asarray(math.cos(angle) * vector + math.sin(angle) * np.cross(axis, vector))
 
 

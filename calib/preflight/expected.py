@@ -1,7 +1,7 @@
-"""Parameters expected from the last verified calibrations, wherever their sensors sit now.
+"""Parameters expected from the last verified calibrations, wherever their sensors are connected now.
 
-A device id names a sensor. ArduPilot's rows follow the place of a sensor, so the values of one that moved belong into
-another row. PX4 finds a row by the id in it, so any free row will do. A value that belongs to no sensor alone, such as
+A device id identifies a sensor. ArduPilot's rows follow the position of a sensor, so the values of a moved sensor
+belong in another row. PX4 finds a row by its id, so any free row will do. A value common to several sensors, such as
 the board's rotation, keeps its name.
 """
 
@@ -24,9 +24,9 @@ SHARED: Mapping[str, tuple[str, ...]] = {
     "ardupilot": ("AHRS_ORIENTATION", "AHRS_TRIM_", "CUST_ROT"),
     "px4": ("SENS_BOARD_ROT", *names.PX4_LEVEL),
 }
-"""Beginnings of the names that belong to no sensor alone, by autopilot."""
+"""Name prefixes of parameters common to several sensors, by autopilot."""
 GYRO_SWITCH: Mapping[str, str] = {"ardupilot": "INS_GYR_CAL", "px4": "IMU_GYRO_CAL_EN"}
-"""Whether the vehicle writes the gyro offsets by itself, by autopilot."""
+"""Parameter that tells whether the vehicle writes gyro offsets itself, by autopilot."""
 _WHO = frozenset({Role.ID, Role.PRIORITY})
 
 
@@ -37,7 +37,7 @@ class ExpectedValue:
     name: str
     value: Value
     about: Subject | None
-    """The sensor as it streams now; None: it belongs to no sensor alone."""
+    """The sensor as it streams now; None: common to several sensors."""
     role: Role | None
     then: str
     """Name of the parameter when it was verified: another row where the sensor moved."""
@@ -50,13 +50,13 @@ class ExpectedCalibration:
 
     values: tuple[ExpectedValue, ...] = ()
     missing: tuple[str, ...] = ()
-    """Sentences on verified sensors whose values belong nowhere now."""
+    """Sentences on verified sensors without a place for their values."""
     moved: tuple[str, ...] = ()
-    """Sentences on sensors that sit elsewhere now."""
+    """Sentences on sensors with another position now."""
     homeless: tuple[LeftOut, ...] = ()
     """The sensors of `missing`, by the instance that they had when they were verified."""
     by_place: frozenset[Sensor] = frozenset()
-    """Sensors that no device id tells apart: their values are expected where they were."""
+    """Sensors without distinguishing device ids: their values are expected in the old rows."""
 
 
 def last_of_each(history: Sequence[VerifiedCalibration]) -> dict[Sensor, VerifiedCalibration]:
@@ -127,22 +127,22 @@ class _Place:
     new_row: bool = False
     """PX4: no row holds the sensor yet."""
     with_ids: bool = False
-    """Whether the id is a value like the others, and not the firmware's own."""
+    """Whether the id is a value like the others, not managed by the firmware."""
 
 
 class _ArduPilotPlaces:
-    """Rows by the place of a sensor; the firmware fills the ids in at every start."""
+    """Rows by the position of a sensor; the firmware fills in the ids at every start."""
 
     def __init__(self, parameters: Mapping[str, Value]) -> None:
         self._parameters = parameters
         self._now = {(sensor, device): i for (sensor, i), device in sensor_ids("ardupilot", parameters).items()}
 
     def known(self, sensor: Sensor, entry: VerifiedCalibration) -> bool:
-        """Whether ids tell the sensors apart, then and now."""
+        """Whether ids distinguish the sensors, then and now."""
         return any(s == sensor for s, _ in self._now) and bool(_ids_of(sensor, entry))
 
     def place(self, sensor: Sensor, then: int, device: int, entry: VerifiedCalibration) -> _Place | None:
-        """Present place of that sensor; None: it is not there. A `device` of 0: where it was."""
+        """Present place of that sensor; None: absent. With `device` 0: its old place."""
         now = then if device == 0 else self._now.get((sensor, device))
         if now is None:
             return None
@@ -152,14 +152,14 @@ class _ArduPilotPlaces:
 
 
 class _Px4Places:
-    """Rows by device id: the row that holds it, else the row of before or another one that is free."""
+    """Rows by device id: the row with the id, else the old row or another free one."""
 
     def __init__(self, parameters: Mapping[str, Value]) -> None:
         self._parameters = parameters
         self._taken: set[str] = set()
 
     def known(self, sensor: Sensor, entry: VerifiedCalibration) -> bool:
-        """Whether the ids of before are known: they are all that PX4 needs."""
+        """Whether the old ids are known, which is all that PX4 needs."""
         return bool(_ids_of(sensor, entry))
 
     def place(self, sensor: Sensor, then: int, device: int, entry: VerifiedCalibration) -> _Place | None:
@@ -241,7 +241,7 @@ def _shared(history: Sequence[VerifiedCalibration], autopilot: str) -> Iterator[
 
 
 def _unique(values: Sequence[ExpectedValue]) -> Iterator[ExpectedValue]:
-    """Each name once: the switch of a group comes with every member."""
+    """The values with each name once, since the switch of a group comes with every member."""
     seen: set[str] = set()
     for value in values:
         if value.name not in seen:

@@ -25,14 +25,14 @@ _CALIBRATE = "Calibrate here and write it: a calibration counts from its verific
 _NONE_KNOWN = "No verified calibration of this vehicle is known here."
 _DAY_S = 86400.0
 _UNKNOWN_TEMPERATURE = -70.0
-"""ArduPilot's CALTEMP at and below this says that the temperature is not known (its default is -300)."""
+"""ArduPilot's CALTEMP at or below which the temperature is unknown (its default is -300)."""
 _SAME = 1e-6
 """Relative: parameters are float32 on the wire."""
 
 
 @dataclass(frozen=True)
 class Changed:
-    """A calibration parameter that is not what was verified; `now` None: the vehicle does not have it any more."""
+    """A calibration parameter that differs from its verified value; `now` None: it no longer exists."""
 
     name: str
     sensor: Sensor | None
@@ -65,10 +65,10 @@ def calibration_age(snapshot: Snapshot) -> Check:
 
 
 def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
-    """The sensors that are not those that were verified last, with what changed.
+    """The sensors that differ from those verified last, with the change.
 
-    A device id names bus, address and type of a part, so an equal board has equal ids: only the autopilot's own unique
-    id tells them apart. Ids that are all gone were reset, which is a matter of the parameters.
+    A device id contains bus, address and type of a part, so an identical board has the same ids: only the autopilot's
+    unique id distinguishes them. If all ids are gone, they were reset, which concerns the parameters.
     """
     now: dict[Sensor, set[int]] = {}
     for (sensor, _), device in sensor_ids(snapshot.identity.autopilot, snapshot.parameters).items():
@@ -93,7 +93,7 @@ _UNCHANGED = {
     "px4": "Every calibration row holds the device id that was calibrated. "
     "Whether that sensor is on board PX4's parameters do not say."
 }
-"""Where the vehicle does not keep the ids up to date, they say less."""
+"""Sentences for unchanged ids; they mean less where the vehicle does not update them."""
 
 
 def sensor_check(snapshot: Snapshot) -> Check:
@@ -160,7 +160,7 @@ def parameters_changed(snapshot: Snapshot) -> Check:
 
 
 def _levelled(found: Sequence[Changed]) -> bool:
-    """Whether only the level was changed in the field: all zeros are a reset."""
+    """Whether only the level was changed in the field; all zeros are a reset."""
     return all(change.name.startswith(LEVEL) for change in found) and any(change.now for change in found)
 
 
@@ -181,7 +181,7 @@ def _compared(snapshot: Snapshot) -> tuple[str, ...]:
 
 
 def sensor_of(name: str) -> Sensor | None:
-    """The sensor that a calibration parameter corrects; None: none alone, or no calibration parameter."""
+    """The sensor that a calibration parameter corrects; None: several, or not a calibration parameter."""
     for sensor, prefixes in _PREFIXES.items():
         if name.startswith(prefixes) or (name[:3] == "INS" and any(f"_{part}" in name for part in _AP[sensor])):
             return sensor
@@ -216,7 +216,7 @@ class Covered:
 
 
 def covered(snapshot: Snapshot, instance: int) -> Covered | None:
-    """The temperatures that the calibration in force of an accelerometer covers; None: nothing says."""
+    """Temperatures that the calibration in force of an accelerometer covers; None: unknown."""
     last = last_of_each(snapshot.history).get(Sensor.ACCEL)
     measured = None if last is None else last.temperatures.get(instance)
     return covered_by(snapshot.identity.autopilot, snapshot.parameters, Sensor.ACCEL, instance, measured)
@@ -225,7 +225,7 @@ def covered(snapshot: Snapshot, instance: int) -> Covered | None:
 def covered_by(
     autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, measured: float | None
 ) -> Covered | None:
-    """The temperatures that these parameters cover; `measured`: of the verified job, degC. None: nothing says."""
+    """Temperatures that these parameters cover; `measured`: that of the verified job, degC. None: unknown."""
     corrected = corrected_by(autopilot, parameters, sensor, instance)
     if corrected is not None:
         return corrected
@@ -242,7 +242,7 @@ def covered_by(
 def corrected_by(
     autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
 ) -> Covered | None:
-    """The temperatures over which a temperature calibration in force follows the drift; None: there is none."""
+    """Range of the temperature calibration in force; None: there is none."""
     low, high, enabled = (
         _value(autopilot, parameters, sensor, instance, role)
         for role in (Role.THERMAL_MIN, Role.THERMAL_MAX, Role.THERMAL_ENABLE)
@@ -264,7 +264,7 @@ def _value(
 
 
 def temperature(snapshot: Snapshot) -> Check:
-    """Temperature of every inertial unit against what its calibration covers; a unit that learns one is no pass."""
+    """Check of every inertial unit's temperature against its calibration; a unit that is learning one does not pass."""
     made, learning = _warmth(snapshot), learning_warnings(snapshot.parameters)
     if not learning or made.verdict == Verdict.FAIL:
         return made

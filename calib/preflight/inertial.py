@@ -1,7 +1,7 @@
 """Checks gyroscopes and accelerometers at rest, vibration, and the attitude against the accelerometers.
 
-After new accelerometer offsets the estimators of both firmwares carry the old ones for minutes, or until a restart. The
-vehicle would fly by that attitude.
+After new accelerometer offsets the estimators of both firmwares keep their old bias for minutes, or until a restart.
+The vehicle would fly with that attitude.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
 
 
 def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None, *, installed: int = 0) -> Check:
-    """The scatter of a single sample."""
+    """Check of the scatter of single samples."""
     if not gyros:
         return unknown(CheckId.GYRO_NOISE, _no_data("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
@@ -101,7 +101,7 @@ def accel_force(
     *,
     installed: int = 0,
 ) -> Check:
-    """The specific force of every accelerometer against gravity, and against the other ones as a vector."""
+    """Check of every accelerometer's specific force against gravity, and as a vector against the others."""
     if not accels:
         return unknown(CheckId.ACCEL_FORCE, _no_data("accelerometer", silent), "Look at the link and at the sensor.")
     if motion is not None:
@@ -130,7 +130,7 @@ def force_measures(accels: Mapping[int, Mean], place: tuple[float, float] | None
 
 
 def _differences(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> list[Measure]:
-    """Distance of the accelerometers from each other, as vectors: of two both are named, of three the odd one."""
+    """Vector differences of the accelerometers; of two, both are suspects, of three, the odd one."""
     if len(accels) == 2:
         return [_between(accels, norms)]
     limit, found = limits.ACCEL_FORCE, []
@@ -151,7 +151,7 @@ def _differences(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> li
 
 
 def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measure:
-    """Difference of two accelerometers. Gravity decides which one is off, unless both read g."""
+    """Difference of two accelerometers; gravity decides which one is wrong, unless both read g."""
     (i, one), (k, other) = sorted(accels.items())
     off = float(np.linalg.norm(one.value - other.value))
     sd = _vector_sd(math.hypot(*one.sd, *other.sd))
@@ -172,7 +172,7 @@ def _between(accels: Mapping[int, Mean], norms: Mapping[int, Measure]) -> Measur
 
 
 def _vector_sd(noise: float) -> float:
-    """A difference of two vectors is never below zero: along it only one axis of three counts."""
+    """Standard deviation of the length of a vector difference, which is never negative: only one axis lies along it."""
     return math.hypot(noise / math.sqrt(3.0), limits.ACCEL_SD)
 
 
@@ -211,7 +211,7 @@ def attitude(snapshot: Snapshot, accels: Mapping[int, Mean], motion: str | None)
 
 
 def level_trim(autopilot: str, parameters: Mapping[str, Value]) -> Array:
-    """``R_vehicle_from_board`` (3, 3): ArduPilot's level trim turns the attitude, and no inertial message."""
+    """``R_vehicle_from_board`` (3, 3): ArduPilot's level trim applies to the attitude, not to inertial messages."""
     if autopilot != "ardupilot":
         return np.eye(3)
     roll, pitch = (math.degrees(float(parameters.get(name, 0.0))) for name in AHRS_TRIM)
@@ -219,7 +219,7 @@ def level_trim(autopilot: str, parameters: Mapping[str, Value]) -> Array:
 
 
 def down(channel: Channel) -> Array:
-    """Down in the vehicle's frame (3,), the middle of an attitude's samples."""
+    """Down in the vehicle's frame (3,), the median of an attitude's samples."""
     w, x, y, z = channel.values[finite_rows(channel.values)].T
     downs = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
     middle = np.median(downs, axis=0)

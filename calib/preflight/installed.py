@@ -2,7 +2,7 @@
 
 FLIGHT_CONTROLLERS 1.1, 1.3, 1.4, 2.1, 2.2. ArduPilot clears the ids of inertial units that it did not find at its
 start; a compass is announced by its rank or by its slot. PX4 keeps a row for each sensor that was ever calibrated. It
-publishes no inertial unit if one half of it has the priority 0.
+does not publish an inertial unit if its accelerometer or gyroscope has priority 0.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WORDS: Mapping[Sensor, tuple[str, str]] = {
     Sensor.ACCEL: ("accelerometer", "accelerometers"),
     Sensor.MAG: ("compass", "compasses"),
 }
-"""What one and several are called."""
+"""Singular and plural names."""
 STREAMED = 3
 """Instances that either firmware streams."""
 
@@ -38,13 +38,13 @@ class Announced:
     """The parameter that holds its device id, with the value."""
     device: int
     kept: bool = True
-    """Whether the firmware itself clears or completes the row. PX4 keeps rows of sensors that are gone."""
+    """Whether the firmware maintains the row itself. PX4 keeps rows of removed sensors."""
     presumed: bool = False
-    """PX4: the priority is still -1, which the firmware replaces when it calibrates a sensor that is there."""
+    """PX4: the priority is still -1, which the firmware replaces when it calibrates a present sensor."""
 
     @property
     def name(self) -> str:
-        """As a reader calls it."""
+        """Display name."""
         return f"{WORDS[self.sensor][0]} {self.instance + 1}"
 
 
@@ -97,7 +97,7 @@ def _of_row(sensor: Sensor, instance: int, name: str, parameters: Mapping[str, V
 
 
 def _fewest(accels: int, gyros: int) -> int:
-    """Units that are published: of both halves; the rows of one kind count alone where the other has none yet."""
+    """Number of published units, which need both halves; rows of one kind count alone while the other has none."""
     return min(accels, gyros) if accels and gyros else max(accels, gyros)
 
 

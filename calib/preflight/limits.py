@@ -1,6 +1,6 @@
 """Limits of the checks, each with its source (the firmwares' own: FLIGHT_CONTROLLERS 4.3, 4.4).
 
-They are narrower than what a firmware arms with: a vehicle that just arms is not yet one that flies well.
+They are tighter than the firmwares' limits of arming: a vehicle that just arms does not yet fly well.
 """
 
 from __future__ import annotations
@@ -70,6 +70,6 @@ STRONGEST_FIELD, WEAKEST_FIELD = 67.0, 22.0
 """Strength of the Earth's field at the ground, uT, where the place is not known."""
 MOVING_RATE_DEG_S: Final = 0.5
 MOVING_FORCE: Final = 0.15
-"""Change (m/s2) of the mean over half a second, in all units alike, from which on the vehicle is not at rest."""
+"""Change of the half-second mean, m/s2, common to all units, above which the vehicle is not at rest."""
 FULL_CURRENT_A: Final = 30.0
 """Current at which a compensation per ampere is compared with the field: a small copter's climb."""

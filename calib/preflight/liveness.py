@@ -1,10 +1,10 @@
 """Checks that every installed sensor delivers: absent, zero and frozen ones are named.
 
-A sensor whose values never change is frozen only where a living one would have changed. Streams are whole numbers of
-1 mG, 1 mrad/s and 1 mgauss, so a quiet sensor at rest may repeat one value for long (FLIGHT_CONTROLLERS 2.1, 9). It is
-called frozen where its numbers are not rounded, or where the vehicle was turned and others followed. So it is
-where a much quieter part than the others would have changed, or where the vehicle says that one is ill. A compass that
-never changes and is none of these is no pass either: the noise of nearly all present parts is above 1 mgauss.
+A constant sensor is frozen only if a live one would have changed. Streams are whole numbers of 1 mG, 1 mrad/s and 1
+mgauss, so a quiet sensor at rest may repeat one value (FLIGHT_CONTROLLERS 2.1, 9). It is called frozen if its values
+are not rounded, or if the vehicle was turned and others followed. The same applies if even a much quieter part would
+have changed, or if the vehicle reports a fault. Any other constant compass does not pass either: nearly all present
+parts have noise above 1 mgauss.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
 QUIETER: Final[Mapping[Sensor, float]] = {Sensor.GYRO: 4.0, Sensor.ACCEL: 4.0, Sensor.MAG: 10.0}
-"""Times by which one part may be quieter than another of its kind on one vehicle. Noise densities of present inertial
-parts differ by up to 4; an RM3100 has 15 nT beside 150 nT of an IST8310 or LIS3MDL (datasheets)."""
+"""Largest ratio of the noise of two parts of a kind on one vehicle. Noise densities of present inertial parts differ by
+up to 4; an RM3100 has 15 nT beside 150 nT of an IST8310 or LIS3MDL (datasheets)."""
 CHANCE: Final = 1e-4
-"""Probability of a constant reading below which a living sensor is excluded."""
+"""Probability of a constant reading below which a live sensor is excluded."""
 STANDS: Final = 10
-"""Messages for each new reading, from which on a sensor stands still: a compass that is read at 10 Hz comes at 50."""
+"""Messages per new reading above which a sensor is constant: a compass read at 10 Hz is streamed at 50 Hz."""
 _HEALTHY: Final[Mapping[Sensor, float]] = {
     Sensor.GYRO: math.radians(limits.GYRO_NOISE.value),
     Sensor.ACCEL: 0.3,
     Sensor.MAG: 2.0,
 }
-"""Noise of a sample that a healthy part has at most (rad/s, m/s2, uT): a noisier one is no measure for the others."""
+"""Largest noise of one sample of a healthy part (rad/s, m/s2, uT); noisier ones are not compared with others."""
 _TURN = "Turn the vehicle by 20 deg or more while you check again: a living compass follows."
 _LINK = "Check again over a better link, or with fewer other programs on this one."
 _ROW = "If the sensor is installed, look at its wiring and at its driver. If not, set the id in its row to 0."
@@ -52,25 +52,25 @@ class Census:
 
     alive: frozenset[Key]
     dead: Mapping[Key, str]
-    """Sentences."""
+    """Sentences on dead sensors."""
     thin: Mapping[Key, str]
-    """The link brought too little to tell."""
+    """Sentences on sensors with too few samples on this link."""
     constant: frozenset[Key]
-    """Those that are alive as far as can be told, and read one value all the time."""
+    """Sensors not known to be dead that have a constant reading."""
     installed: Mapping[Sensor, int]
     """Number of sensors: announced, or heard without being announced."""
     left_over: Mapping[Key, str] = field(default_factory=dict)
-    """PX4: rows of sensors that never sent anything here: these are dead, or gone for long."""
+    """PX4: rows of sensors that sent nothing: they are dead or were removed."""
     beyond: tuple[str, ...] = ()
     """Announced sensors that no message of either firmware carries."""
 
     def of(self, sensor: Sensor) -> frozenset[int]:
-        """Instances that may be judged by what they read."""
+        """Instances whose readings can be judged."""
         return frozenset(i for kind, i in self.alive if kind == sensor)
 
 
 def census(snapshot: Snapshot, announced: Mapping[Key, Announced], movement: ObservedMovement) -> Census:
-    """Look at every sensor that is announced, and at every other one that is heard."""
+    """State of every announced or streamed sensor."""
     recording = snapshot.recording
     heard = {(kind, i) for kind in WORDS for i in recording.instances(kind) if i < STREAMED}
     streamed = {key for key in announced if key[1] < STREAMED}
@@ -161,7 +161,7 @@ def _count(found: Census, kind: Sensor) -> str:
 
 
 def _was_installed(snapshot: Snapshot, one: Announced) -> bool:
-    """Whether the sensor surely was there: by the firmware's own row, or by a verified calibration."""
+    """Whether the sensor was certainly present: by the firmware's own row, or by a verified calibration."""
     return one.kept or any(one.device in entry.device_ids.values() for entry in snapshot.history)
 
 
@@ -182,7 +182,7 @@ def _span(recording: Recording) -> float:
 
 
 def _frozen(snapshot: Snapshot, key: Key, channel: Channel, movement: ObservedMovement) -> str:
-    """Reason to call a sensor that repeats itself dead; empty: a living one may read that."""
+    """Why a constant sensor is dead; empty: a live one may read that."""
     kind, _ = key
     if channel.quantum == 0.0 and kind != Sensor.MAG:
         return f"{len(channel)} readings without rounding are all the same, and a living one has noise"
@@ -212,7 +212,7 @@ def _left_out_by_px4(snapshot: Snapshot, kind: Sensor) -> bool:
 
 
 def _chance(channel: Channel, noise: float) -> float:
-    """Most likely probability that readings with this noise (1 sd) all fall into one bin, on every axis."""
+    """Largest probability that readings with this noise (1 sd) all fall into one bin, on every axis."""
     if channel.quantum == 0.0:
         return 0.0
     wide = channel.zero_bin[0] if channel.zero_bin is not None else np.zeros(channel.values.shape[1], dtype=bool)
@@ -226,7 +226,7 @@ def _repeats(channel: Channel) -> bool:
 
 
 def _best(recording: Recording, key: Key) -> Channel | None:
-    """The stream that shows most of a sensor: one without rounding where there is one with enough samples."""
+    """The most informative stream of a sensor: an unrounded one if it has enough samples."""
     there = [c for c in recording.find(*key) if c.stage != Stage.DEBIASED]
     found = [c.take(rows) for c in there if (rows := finite_rows(c.values)).any()]
     return max(found, key=lambda c: (len(c) >= LEAST and c.quantum == 0.0, len(c)), default=None)

@@ -13,9 +13,9 @@ from mavcal.calib.recording import Array, Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.windows import finite_rows
 
 TURNED_DEG: Final = 5.0
-"""Change of a direction that no noise makes, and that every living sensor of that kind follows by many steps."""
+"""Change of a direction, deg, beyond noise, which every live sensor of that kind follows by many steps."""
 RATE_DEG_S: Final = 5.0
-"""Change of a rate likewise; a rate of twice as much that lasts is a steady turn."""
+"""The same for a rate, deg/s; a lasting rate of twice as much is a steady turn."""
 _LEAST = 5
 
 
@@ -28,7 +28,7 @@ class ObservedMovement:
     attitude: float = 0.0
 
     def movement_seen_by_others(self, key: tuple[Sensor, int]) -> str:
-        """Evidence of a turn that this sensor should have followed; empty: none beyond the noise."""
+        """Sentence on a turn that this sensor should have followed; empty: none beyond the noise."""
         kind, _ = key
         angles = {other: angle for other, angle in self.turned.items() if other != key and angle > TURNED_DEG}
         rates = {i: rate for i, rate in self.rates.items() if (Sensor.GYRO, i) != key and rate > RATE_DEG_S}

@@ -19,7 +19,7 @@ from mavcal.calib.stats.windows import finite_rows, without_spikes
 
 _BLOCK_S = 0.5
 LEAST = 20
-"""Samples below which nothing is said about a sensor."""
+"""Least number of samples of a sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Mean:
     sd: Array
     noise: Array
     change: float
-    """Largest change of a mean over half a second from the whole one."""
+    """Largest difference of a half-second mean from the overall mean."""
     samples: int = 0
     seconds: float = 0.0
     """Length of the capture by the vehicle's clock."""
@@ -42,7 +42,7 @@ class Mean:
 
     @property
     def norm_sd(self) -> float:
-        """Standard deviation of the length: along the mean, or all of it where the mean is zero."""
+        """Standard deviation of the length: along the mean, or the total one if the mean is zero."""
         length = self.norm
         if length <= 3.0 * float(np.linalg.norm(self.sd)):
             return float(np.linalg.norm(self.sd))
@@ -51,7 +51,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Silent:
-    """A sensor with too few samples to say anything."""
+    """A sensor with too few samples."""
 
     why: str
 
@@ -78,7 +78,7 @@ def evidence_lines(means: Mapping[int, Mean], what: str) -> tuple[str, ...]:
 
 
 def moved(gyros: Mapping[int, Mean], accels: Mapping[int, Mean]) -> str | None:
-    """Movement that made this no rest; None: it was one. What one of several units shows alone is its fault."""
+    """Movement during the capture; None: it was a rest. Movement on one of several units alone is that unit's fault."""
     rate = min((math.degrees(m.change) for m in gyros.values()), default=0.0)
     force = min((m.change for m in accels.values()), default=0.0)
     if rate > MOVING_RATE_DEG_S:
@@ -123,7 +123,7 @@ class RestReading:
 
     @property
     def norm(self) -> float:
-        """Rate, or specific force."""
+        """Norm of the rate or of the specific force."""
         return float(np.linalg.norm(self.value))
 
 

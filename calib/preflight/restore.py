@@ -1,7 +1,7 @@
 """Plans to write the last verified calibration again where parameters were lost or changed.
 
-Nothing is estimated here. The plan belongs to the very unit whose calibration was verified; the service writes it like
-any other plan. Afterwards the sensors have to read right by the limits of a preflight: the calibration may be old.
+Nothing is estimated here. The plan is for the same unit whose calibration was verified; the service writes it like any
+other plan. Afterwards the sensors must pass the limits of a preflight, since the calibration may be old.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _RANKS: Mapping[Role, Rank] = {
     Role.FIELD_SCALE: Rank.FIELD_SCALE,
     Role.ID: Rank.ID,
 }
-"""Order of writing by role; what is not here is a setting."""
+"""Order of writing by role; other roles are settings."""
 _AT_START = ("AHRS_ORIENTATION", "CUST_ROT", "SENS_BOARD_ROT", "TC_A_ENABLE", "TC_G_ENABLE")
 """Names that act with the next start of the vehicle (FLIGHT_CONTROLLERS 1.1, 1.4)."""
 _HARMLESS = frozenset({Role.USE, Role.PRIORITY, Role.EXTERNAL, Role.MOTOR_TYPE, *MOTOR})
@@ -73,7 +73,7 @@ def compose_restore(
     *,
     options: ComposeOptions,
 ) -> WritePlan:
-    """Plan what puts the last verified calibration of every sensor back.
+    """Plan that restores the last verified calibration of every sensor.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def compose_restore(
     Returns
     -------
     WritePlan
-        What cannot be put back is among its warnings and in `left_out`; if that is everything, among its blockers.
-        No changes and no blockers: the vehicle holds it all.
+        Values that cannot be restored are in its warnings and in `left_out`; if that is everything, in its blockers.
+        Without changes and blockers the vehicle already has everything.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def compose_restore(
 
 
 def require_same_unit(history: Sequence[VerifiedCalibration], uid: str | None) -> None:
-    """Raise FirmwareError if a calibration of `history` is not surely of the unit `uid`, or if there is none."""
+    """Raise FirmwareError if `history` is empty or a calibration in it is not certainly of the unit `uid`."""
     if not last_of_each(history):
         raise FirmwareError("no verified calibration of this vehicle is known here, so there is nothing to restore")
     if not uid:
@@ -166,7 +166,7 @@ class _Restoration:
         return self._draft.plan(self._fingerprint, left_out=out)
 
     def _usable(self) -> Iterator[ExpectedValue]:
-        """Everything that has a place, without any sensor that has only part of its places."""
+        """Values with a place, without sensors that lack some of their places."""
         out = set(self._untold())
         lost: dict[Subject | None, list[str]] = {}
         for wanted in self._wanted.values:
@@ -199,7 +199,7 @@ class _Restoration:
             yield from about
 
     def _vectors(self, values: list[ExpectedValue]) -> None:
-        """PX4 loads a row vector by vector, and a small change of one not before a restart."""
+        """Values ordered by vector: PX4 loads a row vector by vector, and small changes of one only at a restart."""
         rows: dict[tuple[Subject, Triple], dict[Role, ExpectedValue]] = {}
         for wanted in values:
             triple = next((t for t in (OFFSET, SCALE, CROSS) if wanted.role in t), None)
@@ -214,7 +214,7 @@ class _Restoration:
                 values.remove(wanted)
 
     def _angles_in_order(self, values: Sequence[ExpectedValue]) -> None:
-        """PX4 makes the number of a magnetometer "custom" while its row holds angles: a number comes behind them."""
+        """Values with angles before rotation numbers: while a row has angles, PX4 sets the number to "custom"."""
         for number in values:
             if number.about is None or number.role != Role.ROTATION:
                 continue
@@ -223,7 +223,7 @@ class _Restoration:
             self._draft.reorder([*angles, number.name] if last else [number.name, *angles])
 
     def _in_row(self, wanted: ExpectedValue) -> bool:
-        """Whether its row holds the id already; an empty one is loaded whole when its id is written."""
+        """Whether its row already has the id; an empty row is loaded completely when its id is written."""
         assert wanted.about is not None
         if not self._parameters.get(f"{wanted.name.rpartition('_')[0]}_ID", 0):
             return False

@@ -25,7 +25,7 @@ _ABOUT = {
     Sensor.MAG: (CheckId.COMPASS_FIELD, CheckId.COMPASS_DIRECTION),
 }
 _MOVED_BY = {s: checks if s == Sensor.MAG else (*checks, CheckId.ATTITUDE) for s, checks in _ABOUT.items()}
-"""Checks that another reading of a sensor can fail. The attitude rests on gyroscopes and accelerometers."""
+"""Checks that may fail when a sensor reads differently. The attitude depends on gyroscopes and accelerometers."""
 _FOLLOWS = {
     CheckId.COMPASS_FIELD: (CheckId.COMPASS_DIRECTION,),  # what disturbs one compass reaches the others
     CheckId.GYRO_NOISE: (CheckId.GYRO_REST, CheckId.ATTITUDE),
@@ -40,7 +40,7 @@ _SUBJECTS = (inertial.SUBJECT, compass.SUBJECT, history.SUBJECT, self_report.SUB
 
 
 def preflight(snapshot: Snapshot) -> Report:
-    """Every check. Whoever reads the report acts on its causes: a consequence is no failure of its own."""
+    """The report with every check; a consequence of another failure is not a failure of its own."""
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
     installed, turning = announced(autopilot, parameters, snapshot.stated), movement(snapshot.recording)
     there = census(snapshot, installed, turning)
@@ -77,13 +77,13 @@ def preflight(snapshot: Snapshot) -> Report:
 
 
 def looked_up(autopilot: str, known: Mapping[str, Value], history: Iterable[VerifiedCalibration]) -> set[str]:
-    """Names of the parameters that the checks look at; ask again with what was read until nothing new is named."""
+    """Names of the parameters that the checks use; call again with the values read until there are no new names."""
     found = {name for entry in history for name in entry.parameters} | needed(autopilot, _ABOUT, known, drift=False)
     return found | {name for subject in _SUBJECTS for name in subject.parameters.get(autopilot, ())}
 
 
 def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
-    """Checks without a sensor: a link failure counts for no sensor, and a dead sensor is reported once."""
+    """Results of checks that lack a sensor: a link failure is not a sensor's, and a dead sensor is reported once."""
     reasons: dict[CheckId, tuple[str, str]] = {}
     for kind, checks in _ABOUT.items():
         dead = [why for (of, _), why in there.dead.items() if of == kind]
@@ -100,7 +100,7 @@ def _without_sensor(there: Census, found: list[Check]) -> list[Check]:
 
 
 def _still(there: Census, found: list[Check]) -> list[Check]:
-    """A compass that is off and read one value all the time: the first thing to see is whether it lives."""
+    """The checks, where a wrong compass with a constant reading must first be shown to be live."""
     still = {f"{WORDS[kind][0]} {i + 1}" for kind, i in there.constant if kind == Sensor.MAG}
     compasses = _ABOUT[Sensor.MAG]
     return [
@@ -125,7 +125,7 @@ def _followed(autopilot: str, parameters: Mapping[str, Value], installed: Mappin
 
 
 def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
-    """A sensor that was recalibrated during the check, say by PX4 at rest, gets no verdict."""
+    """The checks without a verdict on sensors that were recalibrated meanwhile, as by PX4 at rest."""
     changed: dict[CheckId, str] = {}
     for name in snapshot.rewritten:
         sensor = history.sensor_of(name)
@@ -136,7 +136,10 @@ def _undisturbed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
 
 
 def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
-    """Checks that failed for the cause of another one are left to that one: their sensor cannot be judged yet."""
+    """The checks, with failures attributed to the failed check that explains them.
+
+    Until that is repaired, their sensor cannot be judged.
+    """
     failed = {check.id for check in found if check.verdict == Verdict.FAIL}
     causes: dict[CheckId, CheckId] = {}
     for cause, sensors in _explaining_checks(snapshot):
@@ -152,7 +155,7 @@ def _attributed(snapshot: Snapshot, found: list[Check]) -> list[Check]:
 
 
 def _explaining_checks(snapshot: Snapshot) -> tuple[tuple[CheckId, Iterable[Sensor]], ...]:
-    """Checks that explain what sensors read, with these sensors; the last one that failed counts."""
+    """Checks that explain readings, with the affected sensors; the last failed one counts."""
     changed = {change.sensor for change in history.changes(snapshot) if change.sensor is not None}
     return (
         (CheckId.TEMPERATURE, (Sensor.GYRO, Sensor.ACCEL)),
@@ -187,7 +190,7 @@ def _means(snapshot: Snapshot, there: Census, sensor: Sensor) -> _Kind:
 
 
 def _upright(snapshot: Snapshot, accels: dict[int, Mean], *, astray: bool) -> compass.Upright | None:
-    """Down by the middle of the accelerometers; north by the vehicle's own attitude, unless that is `astray`."""
+    """Down from the median of the accelerometers; north from the vehicle's own attitude, unless that is `astray`."""
     if not accels:
         return None
     force = np.median([mean.value for mean in accels.values()], axis=0)

@@ -18,7 +18,7 @@ ARMING = {
 """What :func:`arming_checks` looks at, by autopilot."""
 _LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
 _ESTIMATOR = ("ekf", "ahrs", "dcm", "attitude", "estimator", "heading", "yaw")
-"""What a firmware complains of when a sensor makes its estimator wrong."""
+"""Words in a firmware's complaints if a sensor makes its estimator wrong."""
 AGREES_S = 11.0
 """ArduPilot arms once its IMUs have agreed for 10 s (``AP_Arming::ins_accels_consistent``, ``ins_gyros_consistent``).
 One second more, because it checks once a second."""
@@ -35,7 +35,7 @@ _WORDS = {
     CheckId.ONBOARD_CALIBRATION: ("calibration running", "calibrating", "calibration in progress"),
 }
 _GENERAL = (CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE)
-"""Checks whose failure explains what a vehicle says of any sensor."""
+"""Checks whose failure explains a vehicle's complaint about any sensor."""
 
 
 def onboard_calibration(snapshot: Snapshot) -> Check:
@@ -88,7 +88,10 @@ def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
 
 
 def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value], failed: Sequence[CheckId]) -> Check:
-    """Its own verdict, in its own words. `failed` are our checks that failed: what follows from them is not counted."""
+    """Check of the vehicle's own verdict, in its own words.
+
+    `failed` are our failed checks, whose consequences do not count.
+    """
     of, heard = CheckId.VEHICLE_PREARM, (*view.texts, *_bits(view))
     if view.texts or view.ready is False:
         own = "; ".join(f"'{text}'" for text in view.texts) or "it says that it is not ready, and not why"
@@ -110,7 +113,7 @@ def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value
 
 
 def agrees_soon(autopilot: str, prearm: Check, texts: Sequence[str]) -> bool:
-    """Whether waiting may help: ArduPilot calls its IMUs inconsistent, and no check of ours explains that."""
+    """Whether waiting may help: ArduPilot reports inconsistent IMUs, and none of our checks explains that."""
     disagrees = any(words in text.lower() for text in texts for words in _AGREEING)
     return autopilot == "ardupilot" and prearm.verdict == Verdict.FAIL and disagrees
 
@@ -130,7 +133,7 @@ def _nothing_checked(parameters: Mapping[str, Value]) -> bool:
 
 
 def _explained(text: str, failed: Sequence[CheckId]) -> bool:
-    """Whether a check of ours that failed is about what this text complains of."""
+    """Whether one of our failed checks explains the complaint in this text."""
     lower = text.lower()
     of_sensors = any(word in lower for words in _WORDS.values() for word in words)
     return any((of in _GENERAL and of_sensors) or any(word in lower for word in _WORDS.get(of, ())) for of in failed)

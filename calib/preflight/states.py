@@ -27,7 +27,7 @@ TILES: Final[Mapping[str, tuple[str, frozenset[str], Sensor | None]]] = {
     "mag": ("compasses", frozenset({"mag", "mag-rings", "mag-fixed-yaw"}), Sensor.MAG),
     "thermal": ("temperature drift", frozenset({"thermal"}), None),
 }
-"""Each tile by the procedure that it starts: what it is about, the procedures that count, and the sensor."""
+"""Each tile by the procedure that it starts: its subject, the procedures that count, and the sensor."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class SensorState:
 
 
 def sensor_states(finished: Sequence[FinishedCalibration], snapshot: Snapshot) -> tuple[SensorState, ...]:
-    """The four states in their order; `finished` from the oldest on, `snapshot` as the vehicle is now."""
+    """The four states in their order; `finished` oldest first, `snapshot` of the present vehicle."""
     newest = {kind: _newest(finished, counting) for kind, (_, counting, _) in TILES.items()}
     return tuple(_state(kind, found, snapshot, _dead(kind, found, finished)) for kind, found in newest.items())
 
@@ -99,7 +99,7 @@ def _newest(finished: Sequence[FinishedCalibration], counting: frozenset[str]) -
 
 
 def _dead(kind: str, found: FinishedCalibration | None, finished: Sequence[FinishedCalibration]) -> tuple[LeftOut, ...]:
-    """The sensors of this tile that fell out of its newest calibration, or of anything later."""
+    """The sensors of this tile that dropped out of its newest calibration, or of a later one."""
     since, sensor = (-math.inf if found is None else found.at), TILES[kind][2]
     later = (out for one in finished if one.at >= since for out in one.dead if out.sensor == sensor)
     return tuple({out.instance: out for out in later}.values())

@@ -1,8 +1,8 @@
 """Offsets, scales and cross terms of the accelerometers, from poses held by hand.
 
 Nobody holds a drone square: only the length of the specific force is used, ``|C (m - b)| = g`` on the means of poses
-(METHODS 3.3). Six faces and three oblique poses are as many as the unknowns, so that only the prior on the cross terms
-would be tested; the fourth oblique pose is the first that the others must agree with.
+(METHODS 3.3). Six faces and three oblique poses equal the number of unknowns, so that only the prior on the cross terms
+would be tested. The fourth oblique pose is the first to test the others.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ SPEC = ProcedureSpec(
 )
 
 EXTRA = 6
-"""Oblique poses asked for beyond the planned ones before giving up."""
+"""Oblique poses requested in addition to the planned ones before giving up."""
 
 RETAKES = 3
 """Poses taken again before giving up."""
 
 SAME_POSE = math.radians(12.0)
-"""A pose this near to a taken one is the same pose: it tells little that is new."""
+"""Angle, rad, to a taken pose below which a pose counts as the same: it adds little information."""
 
 NEXT_POSE = math.radians(15.0)
-"""Away from the pose just taken by this much, the next one begins even if the vehicle never swung."""
+"""Angle, rad, from the pose just taken above which the next one begins, even without a detected movement."""
 
 
 class AccelProcedure(TickedProcedure):

@@ -29,14 +29,14 @@ from mavcal.calib.procedures.spec import OperatorAnswer, Options, ProcedureConte
 from mavcal.calib.recording import Array, Recording, Sensor
 
 PROGRESS_EVERY = 1.0
-"""Progress is told once a second of the vehicle's clock."""
+"""Interval of progress reports, s of the vehicle's clock."""
 
 
 class TickedProcedure(ABC):
     """A procedure that decides at the ticks of :mod:`calib.procedures.intake`.
 
-    Subclasses hold the state of one run; they say what they have to say through :meth:`_show`, :meth:`_report` and
-    :meth:`_finish`, and every decision depends on ticks alone.
+    Subclasses hold the state of one run and report through :meth:`_show`, :meth:`_report` and :meth:`_finish`. Every
+    decision depends on ticks alone.
     """
 
     spec: ClassVar[ProcedureSpec]
@@ -47,7 +47,7 @@ class TickedProcedure(ABC):
         self.options = options
         self.context = context
         self.time = -math.inf
-        """End of the last tick that was worked on, s on the vehicle's clock; answers are stamped with it."""
+        """End of the last processed tick, s on the vehicle's clock; the time stamp of answers."""
         self.outcome: Done | GaveUp | None = None
         self.warnings: list[str] = []
         self._left_out: dict[Instance, str] = {}
@@ -70,7 +70,7 @@ class TickedProcedure(ABC):
         return self._new_steps()
 
     def end(self) -> tuple[Step, ...]:
-        """End of the samples: process what waits, then report what was missing."""
+        """End of the samples: process the rest, then report what is missing."""
         if self.outcome is None:
             self._work(to_the_end=True)
             self._apply_scheduled(math.inf)
@@ -124,7 +124,7 @@ class TickedProcedure(ABC):
         raise ProcedureError(f"the {self.spec.kind} procedure takes no answers")
 
     def _on_dropout(self, instance: Instance) -> None:
-        """Called when a sensor stops taking part; the operator is warned already."""
+        """Called when a sensor drops out, after the operator was warned."""
         self._watch.drop(instance)
 
     # -- what a procedure says -------------------------------------------------------------------------------------
@@ -144,12 +144,12 @@ class TickedProcedure(ABC):
             self.warnings.append(text)
 
     def _leave_out(self, instance: Instance, reason: str) -> None:
-        """An instance takes no part; `reason` continues the text "is left out:"."""
+        """Exclude an instance; `reason` continues the text "is left out:"."""
         self._warn(f"{label(*instance)} is left out: {reason}")
         self._left_out.setdefault(instance, reason)
 
     def _fell_out(self, instance: Instance, reason: str) -> None:
-        """An instance takes no part any more; `reason` is a sentence that names it."""
+        """Remove an instance from the procedure; `reason` is a sentence that names it."""
         self._warn(f"{reason}; it is left out")
         self._left_out.setdefault(instance, f"it {reason.removeprefix(label(*instance)).strip()}")
 
@@ -256,13 +256,13 @@ class TickedProcedure(ABC):
         return steps
 
     def _dropped_rows(self) -> None:
-        """Warn of rows that were no samples (NaN and the like)."""
+        """Warn of rows that were not samples (NaN and the like)."""
         for (sensor, instance, source), n in self._intake.dropped.items():
             self._warn(f"{n} rows of {label(sensor, instance)} in {source} were no finite numbers and were left out")
 
 
 def mean_temperature(pool: Pool, instance: int) -> float | None:
-    """Mean temperature of an inertial unit over what was kept, degC; None: it does not stream."""
+    """Mean temperature of an inertial unit over the kept samples, degC; None: it is not streamed."""
     key = (Sensor.TEMPERATURE, instance)
     return float(pool.channel(key).values.mean()) if key in pool else None
 
@@ -279,9 +279,9 @@ def annotated(fit: FitResult, context: ProcedureContext, warnings: Iterable[str]
 
 
 def share_of_information(target: float, reached: float) -> float:
-    """Share of the information for a standard deviation of `target` that `reached` amounts to, percent.
+    """Information at a standard deviation of `reached`, as a percentage of that at `target`.
 
-    Information is ``1/sd^2`` and grows with the samples, so a bar of it moves evenly and never without a gain.
+    Information is ``1/sd^2`` and grows linearly with the samples, so a progress bar of it moves evenly.
     """
     return 100.0 * min(1.0, (target / reached) ** 2) if math.isfinite(reached) and reached > 0.0 else 0.0
 

@@ -1,4 +1,4 @@
-"""Turns samples into the body frame, where the truth of a fit is known, and the fit back into the raw sensor's.
+"""Rotates samples into the body frame, where the truth is known, and fits back into the raw sensor's frame.
 
 A fixture, a turntable and a ring turn the body about its own axes, while a fit that is written refers to the raw
 sensor. With ``R = body_from_sensor``, ``C_b (R m - b_b)`` seen in the sensor's axes is ``R^T C_b R (m - R^T b_b)``.
@@ -19,7 +19,7 @@ _NOTHING = 1e-9  # share of an entry that is rounding
 
 
 def in_body(channel: Channel, body_from_sensor: Array) -> Channel:
-    """The samples along the body's axes; bins survive where every axis of the body is one of the sensor."""
+    """The samples along the body's axes; quantisation is kept if every body axis is a sensor axis."""
     if np.array_equal(body_from_sensor, np.eye(3)):
         return channel
     values = channel.values @ body_from_sensor.T
@@ -36,7 +36,7 @@ def in_body(channel: Channel, body_from_sensor: Array) -> Channel:
 def in_sensor(fit: FitResult, body_from_sensor: Array, **changes: Any) -> FitResult:
     """A fit of samples in the body frame as a fit of the raw sensor; `changes` replace other fields.
 
-    `fit` has no thermal part. ``native`` and ``quality`` stay as they are: they speak of the body's axes.
+    `fit` has no thermal part. ``native`` and ``quality`` are unchanged: they refer to the body's axes.
     """
     R = body_from_sensor
     if fit.status == FitStatus.REFUSED or np.array_equal(R, np.eye(3)):
@@ -59,7 +59,7 @@ def in_sensor(fit: FitResult, body_from_sensor: Array, **changes: Any) -> FitRes
 
 
 def _turned_names(fit: FitResult, R: Array) -> dict[str, str]:
-    """Undetermined parameters in sensor axes: all to which an undetermined one of the body contributes."""
+    """Undetermined parameters in sensor axes: those to which an undetermined one in body axes contributes."""
     found: dict[str, str] = {}
     for name in fit.undetermined:
         text = fit.movements.get(name, "")

@@ -84,9 +84,9 @@ def fit_posed(
 ) -> FitResult:
     """Drift of a sensor with one curve, and one offset for each pose, the `number` (N,) of a row.
 
-    Offsets of the poses by joint least squares with the curve, then the curve with them taken away. Least squares of
-    the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its covariance lacks the
-    share of d, which :meth:`PoseOffsets.widened` adds. `warning` has a place for the number of poses.
+    The offsets are fitted jointly with the curve, then subtracted before the curve is fitted again. Least squares on
+    ``y - D d`` with the joint estimate d gives the joint estimate of the curve. Its covariance lacks the contribution
+    of d, which :meth:`PoseOffsets.widened` adds. `warning` has a placeholder for the number of poses.
     """
     poses = PoseOffsets.of(data, number, options.degree)
     one_offset = _of_long(data, number)[0] if poses is None else poses.lowered
@@ -108,7 +108,7 @@ class PoseOffsets:
 
     @classmethod
     def of(cls, data: DriftData, number: NDArray[np.intp], degree: int) -> PoseOffsets | None:
-        """By joint least squares with a curve of that degree; None: fewer than two poses are long enough."""
+        """Offsets by joint least squares with a curve of that degree; None: fewer than two poses are long enough."""
         data, number = _of_long(data, number)
         long = np.unique(number)
         if len(long) < 2 or data.span < 1.0:
@@ -129,10 +129,10 @@ class PoseOffsets:
         return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
 
     def widened(self, fit: FitResult, warning: str = MOVED) -> FitResult:
-        """A fit of :attr:`lowered` with the covariance that the unknown poses leave, and a `warning` of their number.
+        """A fit of :attr:`lowered` with its covariance widened for the unknown poses, and a `warning` of their number.
 
-        The congruence that takes the one covariance under white noise to the other, applied to that under coloured
-        noise; an offset, which is that of one pose, takes the largest factor.
+        The congruence between both covariances under white noise is applied to the one under coloured noise. An offset,
+        which is that of one pose, gets the largest factor.
         """
         poly = fit.model.polynomial
         if fit.status == FitStatus.REFUSED or poly is None:
@@ -171,7 +171,7 @@ def _of_long(data: DriftData, number: NDArray[np.intp]) -> tuple[DriftData, NDAr
 
 
 def _covariances(curve: Array, poses: Array) -> tuple[Array, Array]:
-    """Covariances of the curve's terms with one constant, and with one for every pose; noise of one."""
+    """Covariances of the curve's terms with one constant, and with one per pose, for unit noise."""
     whole = poses.sum(axis=1, keepdims=True)  # the root of the samples of each row
     one = curve - whole @ (whole.T @ curve) / float((whole**2).sum())
     each = curve - poses @ (poses.T @ curve / (poses**2).sum(axis=0)[:, None])

@@ -1,7 +1,7 @@
 """The gyro's zero-rate offset, from a vehicle at rest.
 
-Rest is judged by the accelerometer as well, and a steady turn is not rest: one about a level axis turns gravity, one
-about the vertical turns the compass's field; without a compass only its rate tells, and the result says so.
+Rest is judged by the accelerometer as well, since a steady turn is not rest. A turn about a level axis turns gravity;
+one about the vertical turns the compass's field. Without a compass only the rate can tell, and the result says so.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ SPEC = ProcedureSpec(
 )
 
 GUARD_TICKS = 2
-"""Half a second before a movement was noticed is not rest either."""
+"""Ticks before a detected movement that do not count as rest: half a second."""
 
 SHORTEST = 5.0
 """Least time at rest, s: a compass then sees a turn of half a degree per second, and slow disturbances show."""
 
 STALL = 10.0
-"""Rest without getting nearer to the goal, s: more time does not help, the stream's resolution limits it."""
+"""Rest without progress, s, after which the stream's resolution is the limit and more time does not help."""
 
 CHECK_EVERY = 10.0
-"""A rest that cannot have reached the goal yet is fitted this often all the same, s: is it a rest?"""
+"""Interval, s, of fits before the goal can be reached, to check that it is a rest."""
 
 FIELD_CHANGE = 0.3
 """Least change of a compass's field that counts as a turn, uT: three steps of a stream in mgauss."""
@@ -115,7 +115,7 @@ class GyroProcedure(TickedProcedure):
             self._judge()
 
     def _judge(self) -> None:
-        """Fit where the goal may be reached, and now and then besides: a fit costs more than the spread."""
+        """Fit if the goal may be reached, and at intervals before: a fit costs more than the spread."""
         self._quick = max(self._spreads[i].error for i in self.present(Sensor.GYRO) if i in self._spreads)
         if self._quick > self._target and self._rest - self._fitted_at < CHECK_EVERY:
             return
@@ -190,7 +190,7 @@ class GyroProcedure(TickedProcedure):
 
 
 class Spread:
-    """The standard error that white noise gives to the mean of what was added, from sums."""
+    """Standard error of the mean of the added samples under white noise, from running sums."""
 
     def __init__(self) -> None:
         self._n = 0
@@ -243,7 +243,7 @@ _FIELD_TICKS = 8
 
 
 def _change(before: Array, after: Array) -> float:
-    """Change of the mean field, uT, where it is one; else 0."""
+    """Change of the mean field, uT, if significant; else 0."""
     a, b = statistics(before), statistics(after)
     error = np.sqrt(a.spread**2 / max(a.n - 1, 1) + b.spread**2 / max(b.n - 1, 1))
     change = np.abs(a.mean - b.mean)

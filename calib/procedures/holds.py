@@ -16,16 +16,16 @@ from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.stillness import PoseMean, Still, pose_means
 
 GUARD_TICKS = 1
-"""A quarter of a second before a movement was noticed is not part of the hold."""
+"""Ticks before a detected movement that are not part of the hold: a quarter of a second."""
 
 SHORTEST = 2.0
-"""A hold is at least this long, s: a tremor of 1 Hz and more averages out."""
+"""Shortest hold, s: tremor of 1 Hz and more averages out."""
 
 LONGEST = 20.0
-"""A hold is taken as it is after this time, s: nobody holds a pose for longer."""
+"""Longest hold, s: nobody holds a pose for longer."""
 
 CREEP = math.radians(8.0)
-"""A hold whose direction has crept this far is another pose."""
+"""Angle, rad, of creep beyond which a hold is a different pose."""
 
 
 class Hold:

@@ -1,9 +1,9 @@
 """Accelerometers and gyros together, from poses held by hand and the movements between them (METHODS 3.3).
 
-The poses are those of the job ``accel``. The gyro carries the direction of gravity from each to the next. That gives
-its scale and cross axes, and makes the accelerometer better known than poses alone. A rest comes first: a hand's tremor
-would leave the gyro's offset ten times less known. That tremor also bounds the scale, half a degree in every movement:
-a vehicle that is leant on something instead of held gives a tenth of a percent.
+The poses are those of the job ``accel``. The gyro transfers the direction of gravity from each to the next. That gives
+its scale and cross axes, and a better accelerometer fit than poses alone. A rest comes first: with hand tremor the
+gyro's offset would be ten times less certain. Tremor also limits the scale, by half a degree in every movement: a
+vehicle leant on something instead of held gives a tenth of a percent.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class ImuProcedure(AccelProcedure):
         self._report(Progress(0.0, float(len(self._left())), "poses", text, None, {"rest_s": lasted}))
 
     def _end(self, assessment: Assessment) -> None:
-        """The poses agree: fit jointly, and go on with poses until the gyros are known too."""
+        """Once the poses agree, fit jointly, and continue with poses until the gyros are determined too."""
         paired = [i for i in self.present(Sensor.ACCEL) if i in self.present(Sensor.GYRO)]
         fits = [fit for i in paired for fit in self._fit(i)]
         usable = [f for f in fits if f.status != FitStatus.REFUSED]
@@ -142,7 +142,7 @@ class ImuProcedure(AccelProcedure):
         return in_sensor(accel, accel_body), self._with_rest(in_sensor(gyro, gyro_body), temperature)
 
     def _with_rest(self, gyro: FitResult, temperature: float | None) -> FitResult:
-        """The fit with the offset of the rest, where that is better known than by what a hand held still."""
+        """The fit with the offset from the rest, if that is more accurate than from the hand-held poses."""
         assert self._rest is not None
         rest = fit_gyro_rest(
             self._pool.channel((Sensor.GYRO, gyro.instance)).between(*self._rest),

@@ -2,7 +2,7 @@
 
 A procedure decides at ticks, whose content does not depend on how the samples were chunked. It therefore takes the same
 steps live, from a replayed log and in a test. A tick is closed when samples later than its end by :data:`GRACE` have
-come. Messages that overtake each other by less still fall into their own tick.
+arrived. Messages reordered by less still fall into their own tick.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ GRACE = 0.5
 """How long a tick stays open after its end for samples of other messages, s."""
 
 BACKWARD = 1.0
-"""A step back of the time stamps by more than this is a restart of the vehicle, s; less is a late datagram."""
+"""Step back of the time stamps, s, above which the vehicle restarted; less is a late datagram."""
 
 SANE = 1e6
-"""Numbers beyond this are no sample of any sensor in any unit used here."""
+"""Largest valid reading of any sensor in any unit used here."""
 
 Key = tuple[Sensor, int, str]
 
@@ -61,10 +61,10 @@ class Break:
 
 @dataclass
 class Intake:
-    """Sorts chunks into ticks; drops rows that are no samples and notices where a capture breaks off."""
+    """Sorts chunks into ticks, drops invalid rows and detects the break of a capture."""
 
     dropped: dict[Key, int] = field(default_factory=dict)
-    """Rows that are no numbers, by channel."""
+    """Number of non-finite rows, by channel."""
     horizon: float = -math.inf
     """Latest time stamp heard."""
     broken: Break | None = None
@@ -83,12 +83,12 @@ class Intake:
                 self._append(channel)
 
     def keep(self, keys: Iterable[Key]) -> None:
-        """From now on take these channels alone."""
+        """Keep only these channels from now on."""
         self._kept = frozenset(keys)
         self._buffers = {key: buffer for key, buffer in self._buffers.items() if key in self._kept}
 
     def ticks(self, *, to_the_end: bool = False) -> Iterator[Tick]:
-        """The ticks that are complete; with `to_the_end` also those that still could have grown."""
+        """The complete ticks; with `to_the_end` also incomplete ones."""
         limit = self.horizon - GRACE
         while True:
             first = min((b.first for b in self._buffers.values() if b.first is not None), default=None)

@@ -41,10 +41,10 @@ SHORTEST = 3.0
 """Least time at rest, s."""
 
 GRAVITY_WITHIN = 0.3
-"""A calibrated accelerometer at rest reads gravity within this, m/s2; one further off tilts the level by degrees."""
+"""Largest deviation of a calibrated accelerometer at rest from gravity, m/s2; more tilts the level by degrees."""
 
 UNITS_WITHIN = math.radians(1.0)
-"""Units of one board that differ by more are worth a warning."""
+"""Difference between units of one board, rad, above which a warning is given."""
 
 
 class LevelProcedure(TickedProcedure):

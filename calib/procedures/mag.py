@@ -1,8 +1,8 @@
 """Hard and soft iron of the compasses, from turning the vehicle, and whether each is mounted as stated.
 
-Coverage is judged by what it does to the heading error, not by a share of directions. A compass that averages over its
-period is blurred by fast turns: the gyro tells by how much, mild blur is computed back, the rest left out. The strength
-of the field is compared with the World Magnetic Model from the first second.
+Coverage is judged by its effect on the heading error, not by a fraction of directions. A compass that averages over its
+period is blurred by fast turns. The gyro shows by how much: mild blur is corrected, stronger blur left out. The
+strength of the field is compared with the World Magnetic Model from the first second.
 """
 
 from __future__ import annotations
@@ -49,25 +49,25 @@ SHORTEST = 10.0
 """Least length, s."""
 
 LOOK_EVERY = 2.0
-"""Coverage and prediction are brought up to date this often, s."""
+"""Interval, s, of updates of coverage and prediction."""
 
 ADVISE_EVERY = 6.0
 """A new direction is advised at most this often, s: an operator needs time to follow."""
 
 BACKOFF = 1.3
-"""A fit that missed the goal is repeated after this factor of the time, so that a long job costs no more."""
+"""Growth factor of the time between fits that miss the goal, to bound the cost of a long job."""
 
 FIELD_WITHIN = 0.2
-"""Departure of the field strength from the model, relative, that is told at once."""
+"""Relative deviation of the field strength from the model that is reported at once."""
 
 HARD_IRON_AFTER = 5.0
-"""Time over which the raw field must stay that large, s."""
+"""Time, s, for which the raw field must stay above the limit."""
 
 USABLE = 3.0
-"""Heading error, degrees, from which on the operator may take what is there."""
+"""Heading error, degrees, below which the operator may accept the present result."""
 
 CONFIRM_MOUNTING = 30.0
-"""How much longer than the goal needs the mounting is waited for, s."""
+"""Extra time, s, beyond the goal to determine the mounting."""
 
 
 class MagProcedure(TickedProcedure):
@@ -203,8 +203,8 @@ class MagProcedure(TickedProcedure):
     def _mountings(self) -> dict[int, OrientationResult | None]:
         """Mounting that explains each compass.
 
-        Where the place is not known, a mirrored compass looks like one that is turned in a field that points to the
-        other side. All compasses are in one field: those that are as stated say to which.
+        Without a known place, a mirrored compass looks like a rotated one in a field of opposite dip. All compasses are
+        in one field, so those mounted as stated determine its direction.
         """
         found = {i: t.mounting() for i, t in self._tracks.items()}
         if self.context.earth_field is not None:
@@ -222,7 +222,7 @@ class MagProcedure(TickedProcedure):
         return max((t.heading_sd for t in self._tracks.values()), default=math.inf)
 
     def _confirmed(self, mountings: dict[int, OrientationResult | None]) -> bool:
-        """Whether every mounting is clear, or was waited for long enough."""
+        """Whether every mounting is determined, or the extra time is over."""
         clear = all(m is not None and m.verdict != MountingVerdict.AMBIGUOUS for m in mountings.values())
         waited = self._reached_at is not None and self.time - self._reached_at >= CONFIRM_MOUNTING
         if not clear and not waited:
@@ -249,7 +249,7 @@ class MagProcedure(TickedProcedure):
         self._succeed(fits, because)
 
     def _on_answer(self, value: str) -> None:
-        """``finish``: the operator takes what is there."""
+        """``finish``: the operator accepts the present result."""
         self._refit()
         mountings = self._mountings()
         worst = self._worst()

@@ -30,10 +30,10 @@ from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
 LEAST = 60
-"""Sharp samples below which no fit is made: fewer do not know their own noise."""
+"""Least number of sharp samples for a fit: fewer do not determine their noise."""
 
 LEAST_NOISE = 1e-4
-"""Noise of one axis over the field strength below which no compass is believed to be."""
+"""Least noise of one axis, relative to the field strength."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class MagTrack:
     body
         Stated mounting, body from raw, (3, 3).
     quantum, relative
-        As the stream has them.
+        Properties of the stream.
     """
 
     def __init__(
@@ -75,9 +75,9 @@ class MagTrack:
         self.fit: FitResult | None = None
         self.coverage = Coverage.empty()
         self.noise = 0.01
-        """Noise of one axis over the field strength, as the residuals of the rough shape have it."""
+        """Noise of one axis over the field strength, from the residuals of the rough shape."""
         self.predicted = math.inf
-        """Heading error to be expected of what was collected, degrees."""
+        """Predicted heading error from the collected samples, degrees."""
         self.strength = math.nan
         """Length of the field with the calibration in force, over the last tick, uT."""
         self.nearest = math.inf
@@ -107,7 +107,7 @@ class MagTrack:
             self._turning.append(motion.turning[sharp])
 
     def update(self) -> None:
-        """Bring coverage and the predicted heading error up to date."""
+        """Update coverage and the predicted heading error."""
         shape = self._shape.rough()
         if shape is None:
             return
@@ -148,7 +148,7 @@ class MagTrack:
     def mounting(self, sine: float | None = None) -> OrientationResult | None:
         """Mounting that explains the compass; None: the movement does not determine it, or there is no fit.
 
-        `sine`: that of the dip, as other compasses of the vehicle have it; used where the place does not say it.
+        `sine`: sine of the dip from other compasses of the vehicle, used where the place is not known.
         """
         dip = math.asin(max(-1.0, min(1.0, sine))) if sine is not None else None
         if self.fit is None or self.fit.status == FitStatus.REFUSED:
@@ -165,7 +165,7 @@ class MagTrack:
             return None
 
     def result(self, mounting: OrientationResult | None) -> FitResult:
-        """The fit with what is known of the mounting; refused if no mounting explains the compass."""
+        """The fit with the mounting; refused if no mounting explains the compass."""
         assert self.fit is not None
         known = None if mounting is None else _as_quality(mounting)
         quality = {**self.fit.quality, "orientation": known, "blurred": self.blurred}
@@ -187,7 +187,7 @@ class MagTrack:
 
 
 def _as_quality(mounting: OrientationResult) -> dict[str, Any]:
-    """JSON-able; `matrix` turns what the stated mounting calls body into the body."""
+    """The mounting as JSON; `matrix` rotates the body frame of the stated mounting into the body frame."""
     found = mounting_quality(mounting.verdict, mounting.best, mounting.fitted, mounting.message)
     return {
         **found,
@@ -204,8 +204,8 @@ def mounting_quality(
 ) -> dict[str, Any]:
     """A mounting as ``quality["orientation"]`` of a fit has it: what the composers of plans read.
 
-    `matrix` turns what the stated mounting calls body into the body; so do the angles. By right angles they are exact
-    and have no standard deviation. `askew_deg` is the angle between the fitted rotation and the nearest by right
+    `matrix` and the angles rotate the body frame of the stated mounting into the body frame. Right-angle rotations are
+    exact and have no standard deviation. `askew_deg` is the angle between the fitted rotation and the nearest by right
     angles (`nearest`); None: the movement does not tell.
     """
     by_angles = verdict == MountingVerdict.BY_ANGLES and fitted is not None

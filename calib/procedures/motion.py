@@ -1,8 +1,8 @@
 """Whether the vehicle is still, tick by tick, and what moves if it is not.
 
-The live judgement that prompts and collection rest on; :mod:`calib.stats.stillness` finds still spans in recordings. It
-looks at every unit's accelerometer and gyro, because each sees what the other cannot: a steady turn leaves the gyro's
-spread small, a turn about the vertical leaves the accelerometer alone.
+Prompts and collection use this live judgement; :mod:`calib.stats.stillness` finds still spans in recordings. It uses
+every unit's accelerometer and gyro, because they complement each other: a steady turn keeps the gyro's spread small,
+and a turn about the vertical does not change the accelerometer.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class StillLimits:
-    """Bounds on one tick, per axis. Wander: how far a tick's mean may lie from the mean of the last seconds."""
+    """Bounds on one tick, per axis. Wander is the distance of a tick's mean from the mean of the last seconds."""
 
     accel_wander: float
     gyro_wander: float
     accel_spread: float
     gyro_spread: float
     rate: float
-    """Largest plausible zero-rate offset plus what the hold allows, rad/s."""
+    """Largest plausible zero-rate offset plus the allowance for a hold, rad/s."""
 
 
 RESTING = StillLimits(
@@ -49,10 +49,10 @@ HELD = StillLimits(
 """In human hands: 4 deg of wander and a tremor of some deg/s."""
 
 REFERENCE_TICKS = 20
-"""The mean that a tick is compared with reaches back 5 s, so that a slow thermal drift is no movement."""
+"""Length, in ticks, of the reference mean: 5 s, so that slow thermal drift does not count as movement."""
 
 SETTLE_TICKS = 3
-"""A run of still ticks counts from its fourth tick on: the first ones may hold the end of the movement."""
+"""Still ticks of a run before it counts: they may contain the end of the movement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def statistics(values: Array) -> TickStatistics:
 
 
 class _Reference:
-    """Mean over the last ticks of one sensor, and the standard error that noise gives to one tick's mean."""
+    """Mean over the last ticks of one sensor, and the standard error of one tick's mean due to noise."""
 
     def __init__(self) -> None:
         self._means = np.zeros((REFERENCE_TICKS, 3))
@@ -98,7 +98,7 @@ class _Reference:
 
 
 class Disturbance(StrEnum):
-    """Kind of movement, for a prompt that does not change with every number."""
+    """Kind of movement, for a prompt that does not change with every value."""
 
     NONE = ""
     SILENT = "no samples come in"

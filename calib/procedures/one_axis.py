@@ -1,7 +1,7 @@
 """Offsets of the accelerometers with one axis vertical: the mean, less gravity on that axis (METHODS S1).
 
-The quickest of all, and the weakest: a tilt of the surface and an error of the scale are read as offset. Whatever scale
-is in force stays in force, so the offset is the one that belongs to it.
+The quickest method, and the least accurate: a tilt of the surface and an error of the scale look like offset. The scale
+in force is kept, and the offset is the one for that scale.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class AccelOneAxisProcedure(TickedProcedure):
         self._succeed(results, text)
 
     def _fit(self, instance: int, channel: Channel, tilt: float) -> FitResult:
-        """The offset that belongs to the scale in force: ``mean - S^-1 g``."""
+        """The offset for the scale in force: ``mean - S^-1 g``."""
         body = self._body[instance]
         gravity = self.context.gravity
         fit = fit_one_axis(in_body(channel, body), gravity=gravity, fixture_sd=tilt, relative=self.context.relative)

@@ -1,4 +1,4 @@
-"""Samples that a procedure keeps: channels put together tick by tick, joined in blocks and when a fit asks for them."""
+"""Samples that a procedure keeps: channels collected tick by tick, joined in blocks and for fits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.recording import Channel, Recording, Sensor, join
 
 BLOCK = 64
-"""Ticks that are joined as they come: a tick holds a dozen samples, and its objects cost more than they do."""
+"""Ticks joined into one block: a tick holds a dozen samples, which cost less memory than its objects."""
 
 
 class Pool:
@@ -51,7 +51,7 @@ def joined(parts: Sequence[Channel]) -> Channel:
 
 
 class Tail:
-    """Holds back the last ticks of a still run: the onset of a movement is in them before it is noticed."""
+    """Delays the last ticks of a still run, since they contain the onset of a movement before it is detected."""
 
     def __init__(self, ticks: int) -> None:
         self._held: deque[TickChannels] = deque()

@@ -1,4 +1,4 @@
-"""Fits the accelerometers to a set of poses, and decides: enough, another pose, or which pose to repeat."""
+"""Fits the accelerometers to a set of poses, and decides whether they are enough, or which pose to add or repeat."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from mavcal.calib.procedures.roster import label
 from mavcal.calib.recording import Sensor
 
 LEAST_FREEDOM = 3
-"""Degrees of freedom that a residual test must have to mean something."""
+"""Least degrees of freedom of a residual test."""
 
 CHANCE = 1e-3
-"""Poses that fit worse than this by chance contradict each other."""
+"""P-value below which poses contradict each other."""
 
 CURED = 1e-2
-"""Without the pose that disagrees, the others must fit at least as well as this."""
+"""Least p-value of the other poses without the one that disagrees."""
 
 MARGIN = 6.0
-"""By how much chi2 must fall further without the culprit than without any other pose: twenty to one in likelihood."""
+"""Least further decrease of chi2 without the culprit than without any other pose: twenty to one in likelihood."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class Assessment:
 def assess(poses: Sequence[HeldPose], instances: Sequence[int], gravity: float, target: float) -> Assessment:
     """Fit every accelerometer and judge: uncertainty `target` (m/s2) on every offset, and the residual test.
 
-    Where the poses contradict each other the fits' covariance is inflated to their scatter; they pass all the same if
-    that stays within the target, for then the contradiction is smaller than what was asked for.
+    If the poses contradict each other, the fits' covariance is inflated to their scatter. They still pass if that is
+    within the target, since the contradiction is then smaller than the requested uncertainty.
     """
     fits = tuple(_fit(poses, i, gravity) for i in instances)
     refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
@@ -85,7 +85,7 @@ def _chance(fit: FitResult) -> float:
 
 
 def _culprit(poses: Sequence[HeldPose], instance: int, gravity: float) -> HeldPose | None:
-    """The pose without which the others agree, if it is clearly this one."""
+    """The pose without which the others agree, if unambiguous."""
     without = [_fit([p for p in poses if p is not left_out], instance, gravity) for left_out in poses]
     usable = [k for k, f in enumerate(without) if f.status != FitStatus.REFUSED]
     order = sorted(usable, key=lambda k: float(without[k].quality["chi2"]))

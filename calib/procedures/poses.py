@@ -39,23 +39,23 @@ TEXTS = {
 }
 
 FACE_WITHIN = math.radians(22.0)
-"""A hand holds a face to better than this; beyond it the pose is oblique. Half of the angle between a face and the
-edge between two faces."""
+"""Angle, rad, to a face beyond which a pose is oblique: half of the angle between a face and the edge between two
+faces."""
 
 WEIGHTLESS = 1.0
-"""An accelerometer that reads less than this, m/s2, shows no vertical: it is dead, or it falls."""
+"""Least reading of an accelerometer, m/s2, that shows the vertical; with less it is dead or in free fall."""
 
 APART = math.radians(20.0)
-"""Oblique poses nearer to each other than this count once."""
+"""Angle, rad, below which two oblique poses count as one."""
 
 _FACE_DIRECTIONS = np.array([DOWN[face] for face in FACES])
 _CANDIDATES = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) > 1])
 _CANDIDATES /= np.linalg.norm(_CANDIDATES, axis=1)[:, None]
 SQUARE_WITHIN = math.radians(12.0)
-"""A face that looks further off than this was not put down square: an uncalibrated accelerometer errs by less."""
+"""Angle, rad, above which a face was not put down square: an uncalibrated accelerometer errs by less."""
 
 PLACED_S = 3.0
-"""What a prompt says of how long a face is needed at least, s."""
+"""Least time of a face that a prompt states, s."""
 
 _DIRECTIONS = np.array([DOWN[face] for face in FACES])
 
@@ -97,7 +97,7 @@ def recognise(direction: Array) -> Pose:
 
 
 def remaining(taken: Iterable[Array], obliques: int) -> tuple[Pose, ...]:
-    """Faces that no direction of `taken` belongs to, and as many oblique poses as are missing of `obliques`."""
+    """Faces without a direction in `taken`, and the oblique poses still missing of `obliques`."""
     directions = list(taken)
     poses = {recognise(d) for d in directions}
     faces = tuple(face for face in FACES if face not in poses)
@@ -116,8 +116,8 @@ def distinct_obliques(directions: Iterable[Array]) -> list[Array]:
 def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
     """Oblique direction with the most information on the cross terms, as the body direction to point down.
 
-    A cross term ``c_ij`` changes the length of ``C u`` by ``2 c_ij u_i u_j``: a pose and its opposite tell the same.
-    One that is near to a taken one would not count as new, so it is suggested only if there is no other.
+    A cross term ``c_ij`` changes the length of ``C u`` by ``2 c_ij u_i u_j``, so a pose and its opposite are
+    equivalent. A pose near a taken one would not count as new, so it is suggested only if there is no other.
     """
     seen = _crosses(np.array(taken).reshape(-1, 3))
     information = seen.T @ seen + 1e-3 * np.eye(3)
@@ -147,7 +147,7 @@ def _crosses(directions: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Facing:
-    """The face that is nearest to the body direction `down` (3,), and how far that is from square, rad."""
+    """The face nearest to the body direction `down` (3,), and its angle from square, rad."""
 
     face: Pose
     down: Array

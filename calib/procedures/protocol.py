@@ -1,7 +1,7 @@
 """Prompts, progress, results and answers of a procedure, as data.
 
-A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock. It never
-looks at another clock, so a live job, a replayed .tlog and a test are one code path.
+A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock. It uses no
+other clock, so a live job, a replayed .tlog and a test have the same code path.
 """
 
 from __future__ import annotations

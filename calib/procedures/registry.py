@@ -29,7 +29,7 @@ _CLASSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "imu-multi": ("imu", "ImuProcedure"),
     }
 )
-"""Module and class of every kind of job: each is loaded when it is asked for, with the fits that it needs."""
+"""Module and class of every kind of job, loaded on demand with the fits that it needs."""
 
 
 class _Procedures(Mapping[str, ProcedureSpec]):
@@ -49,16 +49,16 @@ LIBRARIES = ("scipy.linalg", "scipy.special", "scipy.spatial.transform")
 
 
 def load_libraries() -> None:
-    """Load what fits compute with: half a second of a processor, and several where it is busy.
+    """Load the numerical libraries of the fits: half a second of processor time, and several on a busy host.
 
-    They are loaded at their first use otherwise, which is when somebody waits for a result.
+    Otherwise they are loaded at their first use, while somebody waits for a result.
     """
     for name in LIBRARIES:
         importlib.import_module(name)
 
 
 def load_procedures() -> None:
-    """Load every procedure: a service that runs on does not stop for one later."""
+    """Load every procedure, so that a running service does not pause for it later."""
     for kind in _CLASSES:
         _loaded(kind)
 

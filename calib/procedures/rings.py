@@ -1,7 +1,7 @@
 """Offset, full matrix and mounting of the compasses from six rings about the vertical (METHODS S3).
 
-Only the centres of the rings are used, so a compass that averages over its period is not blurred by the turn; the price
-is that every tilt of a face enters at full size, and that nothing is seen near the magnetic equator.
+Only the centres of the rings are used, so averaging within the compass does not blur the result. The price is that
+every tilt of a face has its full effect, and that the method fails near the magnetic equator.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ SPEC = ProcedureSpec(
     duration_s=90.0,
 )
 FASTEST = math.radians(120.0)
-"""A compass of 10 Hz has samples nine degrees apart up to this rate, rad/s."""
+"""Largest rate, rad/s, at which the samples of a 10 Hz compass are at most nine degrees apart."""
 _BEGUN = math.radians(10.0)  # turned by less, nothing is lost
 ROUNDS = 2
-"""Times that all six rings are taken before giving up."""
+"""Rounds of all six rings before giving up."""
 FEWEST = 40
-"""Samples of a ring below which it goes on: nine degrees apart."""
+"""Least samples of a ring: nine degrees apart."""
 ONCE_AROUND = 2.0 * math.pi
 
 
@@ -90,16 +90,16 @@ class RingTrack:
         return self._pool.get((Sensor.MAG, instance))
 
     def complete(self, instances: tuple[int, ...]) -> bool:
-        """Whether it has gone round with samples enough of every compass."""
+        """Whether the turn is complete, with enough samples of every compass."""
         counts = [len(channel) if (channel := self.channel(i)) is not None else 0 for i in instances]
         return abs(self.angle) >= ONCE_AROUND and min(counts, default=0) >= FEWEST
 
 
 def mounting_in(rotation: Array, covariance: Array) -> dict[str, Any]:
-    """The mounting that `rotation` means, as ``quality["orientation"]`` of a compass has it.
+    """The mounting for `rotation`, in the form of ``quality["orientation"]`` of a compass.
 
-    `rotation` (3, 3) turns what the stated mounting calls body into the body; `covariance` (3, 3), rad^2, is that of
-    small turns of the body. A rotation within 5 degrees of one by right angles means that one.
+    `rotation` (3, 3) turns the body frame of the stated mounting into the body frame; `covariance` (3, 3), rad^2, is
+    that of small rotations of the body. A rotation within 5 degrees of a right-angle one is taken as that one.
     """
     fitted = FittedRotation(rotation, covariance)
     askew, nearest = min((angle_between(m.matrix, rotation), k) for k, m in enumerate(RIGHT_ANGLES))
@@ -295,8 +295,8 @@ class MagRingsProcedure(TickedProcedure):
 def _mounted(fit: FitResult, instance: int, field: EarthField | None, stated: Array) -> FitResult:
     """The fit in the body frame with the mounting from its rotation; refused if the axes are mirrored.
 
-    The centres of the rings lie where the vertical field points, or all opposite if an odd number of axes is reversed:
-    which of the two it is, only the `field` of the place tells. `stated` (3, 3) is the stated mounting.
+    The centres of the rings lie in the direction of the vertical field, or all opposite to it if an odd number of axes
+    is reversed. Only the `field` of the place tells which. `stated` (3, 3) is the stated mounting.
     """
     rotation = fit.model.rotation
     upward = np.linalg.det(np.array(fit.native["columns"])) < 0.0

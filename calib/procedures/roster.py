@@ -15,16 +15,16 @@ TickChannels = dict[Instance, Channel]
 """The samples of one tick, one channel an instance."""
 
 ROSTER = 2.0
-"""How long the streams are watched before it is settled which channel speaks for an instance, s."""
+"""Time, s, of watching the streams before the channel of each instance is chosen."""
 
 ROSTER_EXPECTED = 5.0
-"""How long an expected instance that does not stream is waited for, s."""
+"""Longest wait, s, for an expected instance that does not stream."""
 
 LOST_TICKS = round(5.0 / TICK)
-"""An instance without new values for 5 s while others stream is lost."""
+"""Ticks (5 s) without new values, while others stream, after which an instance is lost."""
 
 STUCK_TICKS = round(2.0 / TICK)
-"""Exact repeats over 2 s where the sensor must have changed: it is frozen."""
+"""Ticks (2 s) of exact repeats, while the sensor must have changed, after which it is frozen."""
 
 MOVED = {Sensor.ACCEL: 1.0, Sensor.GYRO: 0.2, Sensor.MAG: 3.0}
 """A change of a tick's mean by more than this is a movement, not noise; m/s2, rad/s, uT."""
@@ -34,7 +34,8 @@ EVIDENCE = {
     Sensor.GYRO: {Sensor.ACCEL, Sensor.GYRO},
     Sensor.MAG: {Sensor.ACCEL, Sensor.GYRO, Sensor.MAG},
 }
-"""Whose movement a sensor must share: a turn about the vertical moves no accelerometer, a current only compasses."""
+"""Sensors whose movement a sensor must share: a turn about the vertical changes no accelerometer, a current only
+compasses."""
 
 NAMES = {Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyro", Sensor.MAG: "compass", Sensor.TEMPERATURE: "thermometer"}
 
@@ -78,7 +79,7 @@ def choose(ticks: Iterable[Tick]) -> Roster:
 
 @dataclass
 class Attendance:
-    """Notices instances that stop, freeze, or were expected and never came."""
+    """Detects instances that stop, freeze, or were expected and never streamed."""
 
     present: set[Instance]
     _silent: dict[Instance, int] = field(default_factory=dict)
@@ -98,7 +99,7 @@ class Attendance:
                     out.append((instance, f"{label(*instance)} stopped giving new values"))
                 continue
             self._silent[instance] = 0
-            # A quiet quantised sensor at rest repeats rightly: only a movement that others saw speaks against it.
+            # A quiet quantised sensor may repeat at rest; only a movement that others saw shows that it is stuck.
             if instance not in constant:
                 self._constant[instance] = 0
             elif _never_repeats(instance, frame[instance]) or any(m[0] in EVIDENCE[instance[0]] for m in movers):

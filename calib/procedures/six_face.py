@@ -1,7 +1,7 @@
 """All twelve numbers of the accelerometers from six faces of a fixture (METHODS S4).
 
-The directions of gravity are taken as known, so cross terms and the rotation of the sensor in the vehicle come out too;
-the price is that a tilt of the fixture enters at full size. Without a fixture the job ``accel`` is the better one.
+The directions of gravity are assumed known, so cross terms and the rotation of the sensor in the vehicle are determined
+too. The price is that a tilt of the fixture has its full effect. Without a fixture the job ``accel`` is better.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SPEC = ProcedureSpec(
 )
 
 ROUNDS = 2
-"""Times that all faces are taken, if they contradict each other, before giving up."""
+"""Rounds of all faces, if they contradict each other, before giving up."""
 
 
 class AccelSixFaceProcedure(TickedProcedure):
@@ -109,7 +109,7 @@ class AccelSixFaceProcedure(TickedProcedure):
             )
         )
         self._hold.add(frame, seconds)
-        # the offset is a mean of six faces, so each may be known worse by the root of that
+        # the offset is a mean of six faces, so the sd of each may be larger by the square root of six
         if self._hold.complete(self._target):
             number = len(self._faces) + 1
             self._faces[at.face] = pose_of_hold(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))

@@ -1,7 +1,7 @@
 """Specification of a procedure, and what it knows of the vehicle before the first sample.
 
-A specification has its options, needs, goal, what it writes, and what it cannot represent. It is the one place of these
-facts: the service validates options with it, a panel shows it, and ``scripts/procedures`` makes ``docs/procedures.md``.
+A specification has its options, needs, goal, what it writes, and what it cannot represent. It is the single source: the
+service validates options with it, a panel shows it, and ``scripts/procedures`` makes ``docs/procedures.md``.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ Options = Mapping[str, OptionValue]
 class ProcedureSpec:
     """A procedure as a row of the table that operators and programs read.
 
-    `sensors` must stream, `helpful` are used where they stream. `still_only` of them tell rest from motion and nothing
-    else, so their calibration may change meanwhile. `aiding` of them are in the result and are not calibrated
-    themselves. `duration_s` is the typical length with the default options, in
-    seconds of the vehicle's clock.
+    `sensors` must stream; `helpful` ones are used if they stream. Those in `still_only` only tell rest from motion, so
+    their calibration may change meanwhile. Those in `aiding` affect the result without being calibrated. `duration_s`
+    is the typical length with the default options, in seconds of the vehicle's clock.
     """
 
     kind: str

@@ -1,7 +1,7 @@
 """Drift of accelerometers and gyros with temperature, from a still vehicle that warms up or cools down.
 
-Only still spans count. Where the vehicle was moved between two of them the accelerometer's gravity differs, and each
-span has its own offset (METHODS 3.4); the shape of the drift is common.
+Only still spans count. If the vehicle was moved between two of them, gravity on the accelerometer differs, and each
+span has its own offset (METHODS 3.4). The shape of the drift is common.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from mavcal.calib.procedures.spec import Options, ProcedureContext, ProcedureSpe
 from mavcal.calib.recording import Sensor
 
 _PARTS = (0.0, 0.25, 0.5)
-"""Shares of the last minute after which it is extrapolated from."""
+"""Fractions of the last minute from which extrapolations start."""
 _SPREAD = 0.25
-"""Share of what is left by which these may differ."""
+"""Largest difference of the extrapolations, relative to the remaining change."""
 _NEAR = 1.0
-"""degC by which they always may."""
+"""Difference, degC, that is always allowed."""
 SPEC = ProcedureSpec(
     kind="thermal",
     title="Drift of accelerometers and gyros with temperature",
@@ -66,16 +66,16 @@ SPEC = ProcedureSpec(
 )
 
 GUARD_TICKS = 4
-"""A second before a movement was noticed does not count."""
+"""Ticks before a detected movement that do not count: one second."""
 
 STILL_COLD = 1.0
-"""Range below which the temperature has not moved at all, degC."""
+"""Range, degC, below which the temperature counts as constant."""
 
 FIT_AGAIN = 0.1
-"""A fit that missed the goal is repeated after this share of the time."""
+"""Time until the next fit after one that missed the goal, as a fraction of the elapsed time."""
 
 SETTLED_OVER = 60.0
-"""The rate of temperature is taken over this time, s."""
+"""Time, s, over which the rate of temperature is measured."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class WarmUpEnd:
     at: float
     """Temperature at its end, degC."""
     spread: float
-    """Difference of extrapolations from parts of the last minute from that, degC."""
+    """Largest difference from it of extrapolations from parts of the last minute, degC."""
 
 
 class Warmth:
@@ -121,17 +121,17 @@ class Warmth:
 
     @property
     def moved(self) -> float:
-        """Range that every unit went through, degC."""
+        """Smallest temperature range of any unit, degC."""
         return self._all.least(self.now)
 
     @property
     def span(self) -> float:
-        """Range that was kept of every unit, degC."""
+        """Smallest kept temperature range of any unit, degC."""
         return self._kept.least(self.now)
 
     @property
     def rate(self) -> float:
-        """Rate of the first unit over the last minute, degC/s; 0 as long as it is not known."""
+        """Rate of the first unit over the last minute, degC/s; 0 while unknown."""
         if len(self._history) < 2:
             return 0.0
         (t0, first), (t1, last) = self._history[0], self._history[-1]
@@ -140,9 +140,9 @@ class Warmth:
     def settles(self, bound: float) -> WarmUpEnd | None:
         """When the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
 
-        Told by how the rate fell within the last minute, as a body's does that comes to the temperature around it.
-        The later parts of that minute tell it again. None as long as it does not fall, or the parts disagree: a curve
-        that has hardly bent yet says nothing of its end.
+        Extrapolated from the fall of the rate within the last minute, as for a body that approaches ambient
+        temperature. Later parts of that minute give further estimates. None while the rate does not fall or the
+        estimates disagree: a curve that has hardly bent does not determine its end.
         """
         if len(self._history) < 3 or self._history[-1][0] - self._history[0][0] < 0.5 * self._over:
             return None
@@ -340,7 +340,7 @@ class ThermalProcedure(TickedProcedure):
         self._succeed(fits, because)
 
     def _on_answer(self, value: str) -> None:
-        """``finish``: the operator takes the range that is covered."""
+        """``finish``: the operator accepts the covered range."""
         if self._warmth.span < THERMAL_SPAN_MIN:
             self._give_up(
                 f"the operator ended it after {self._warmth.span:.1f} degC; a drift needs {THERMAL_SPAN_MIN:.0f} degC",

@@ -1,8 +1,7 @@
 """Scale and offset of the gyros about one axis from whole turns on a thread (METHODS S3).
 
-No turntable is needed and the rate need not be steady: the turns are counted, by a compass that goes round or by the
-operator. Neither firmware holds a gyro's scale: what is written is the offset, and the scale's error is listed with its
-cost.
+No turntable is needed and the rate need not be steady: the turns are counted by a compass or by the operator. Neither
+firmware stores a gyro's scale: only the offset is written, and the scale's error is listed with its cost.
 """
 
 from __future__ import annotations
@@ -51,19 +50,19 @@ SPEC = ProcedureSpec(
 )
 
 HANGING = dataclasses.replace(RESTING, accel_wander=0.3, gyro_wander=math.radians(2.0))
-"""What hangs on a thread swings by a degree or two even when it has come to rest."""
+"""Limits of rest for a vehicle on a thread, which still swings by a degree or two."""
 
 ROUNDS = 2
-"""Turns each way that are taken at least: fewer leave nothing that would test the fit."""
+"""Least turns each way: fewer leave no residual to test the fit."""
 
 MOST_ROUNDS = 4
-"""Turns each way that are taken before giving up."""
+"""Most turns each way before giving up."""
 
 LEAST_TURN = 0.9 * 2.0 * math.pi
-"""A movement that goes round by less was handling, rad."""
+"""Least angle of a turn, rad; a smaller movement is handling."""
 
 ONE_WAY = 0.03
-"""Share of the angle that may go the other way (a thread swings back a little before it rests)."""
+"""Largest fraction of the angle in the opposite direction, since a thread swings back before it rests."""
 
 _TURNS = Number("turns", "", 1.0, 200.0)
 
@@ -216,7 +215,7 @@ class GyroThreadProcedure(TickedProcedure):
         self._evaluate()
 
     def _fit(self, instance: int) -> FitResult:
-        """In the body's axes."""
+        """Fit of one gyro in the body's axes."""
         gyro = in_body(self._pool.channel((Sensor.GYRO, instance)), self._body[instance])
         mag = next((self._pool.get((Sensor.MAG, i)) for i in self.present(Sensor.MAG)), None)
         counted = self._counted is not None
@@ -283,6 +282,6 @@ class GyroThreadProcedure(TickedProcedure):
 
 
 def _scale_sd(fit: FitResult) -> float:
-    """About the axis of the thread, which is the only one that is determined; `fit` is in the body."""
+    """Scale uncertainty about the axis of the thread, the only one determined; `fit` is in body axes."""
     names = (f"matrix_{a}{a}" for a in "xyz")
     return max(float(fit.sd[3 + 4 * j]) for j, name in enumerate(names) if fit.determined(name))

@@ -13,13 +13,13 @@ from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Array, Sensor
 
 TURNING = math.radians(5.0)
-"""Rate above which the vehicle counts as turned, rad/s: rest errs by less once the gyro's offset is taken off."""
+"""Rate, rad/s, above which the vehicle is turning; at rest the offset-corrected gyro errs by less."""
 
 WOBBLE = 0.25
-"""Share of the rate that may go about other axes while one turns about one axis."""
+"""Largest fraction of the rate about other axes during a turn about one axis."""
 
 WOBBLE_AT_LEAST = math.radians(5.0)
-"""The same for slow turns, rad/s: a hand's wobble."""
+"""The same limit for slow turns, rad/s: hand wobble."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Spin:
 
 
 class SpinWatch:
-    """Follows the first gyro that takes part; its offset is what it reads at rest.
+    """Follows the first participating gyro; its offset is its reading at rest.
 
     `body` are the rotations from the raw frame of every gyro to the body.
     """
@@ -75,7 +75,7 @@ class SpinWatch:
 
 @dataclass(frozen=True)
 class Turned:
-    """A way to turn: about body axis 0, 1 or 2, with the sign of the rate."""
+    """A direction of turning: about body axis 0, 1 or 2, with the sign of the rate."""
 
     axis: int
     sign: float
@@ -87,7 +87,7 @@ class Turned:
 
     @property
     def name(self) -> str:
-        """As labels have it."""
+        """Name as in labels."""
         return f"{AXES[self.axis]}{'+' if self.sign > 0.0 else '-'}"
 
 

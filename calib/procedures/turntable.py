@@ -1,6 +1,6 @@
 """Scale, cross axes and offset of the gyros on a turntable whose rate is known (METHODS S3).
 
-Neither firmware holds a gyro's scale: what is written is the offset, and the scale's error is listed with its cost.
+Neither firmware stores a gyro's scale: only the offset is written, and the scale's error is listed with its cost.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ SPEC = ProcedureSpec(
     duration_s=120.0,
 )
 REST_S = 5.0
-"""Rest that is taken first, s: it makes the residuals of a single axis testable."""
+"""Initial rest, s: it makes the residuals of a single axis testable."""
 TURN_S = 5.0
-"""Least length of a turn, s; it goes once around at least, unless that takes longer than :data:`LONGEST`."""
+"""Least duration of a turn, s; at least one revolution, unless that takes longer than :data:`LONGEST`."""
 LONGEST = 60.0
-"""A turn is taken as it is after this time, s."""
+"""Longest duration of a turn, s."""
 SAME_RATE = 2.0
-"""A turn whose rate is farther from the stated one than by this factor is another rate."""
+"""Ratio to the stated rate beyond which a turn has another rate."""
 ROUNDS = 3
-"""Times that all turns are taken before giving up."""
+"""Rounds of all turns before giving up."""
 _RATE = Number("rate", "deg/s", 1.0, 1000.0)
 _FACES = ((Pose.NOSE_DOWN, Pose.NOSE_UP), (Pose.RIGHT, Pose.LEFT), (Pose.LEVEL, Pose.BACK))
 GUARD_TICKS = 1
-"""The last quarter of a second before a change was noticed belongs to the change."""
+"""Ticks before a detected change that belong to the change: a quarter of a second."""
 SETTLE_TICKS = 2
-"""The first ticks of a stretch may hold the end of a run-up."""
+"""First ticks of a stretch that are left out: they may contain the end of a run-up."""
 STEADY = 0.05
-"""A tick whose rate is off by more of the rate belongs to another stretch: a run-up, or a turntable that slips."""
+"""Relative change of the rate above which a tick belongs to another stretch: a run-up, or a slipping turntable."""
 STEADY_AT_LEAST = math.radians(1.0)
 """The same for slow turns, rad/s."""
 
@@ -85,7 +85,7 @@ class Stretch:
         self._last = math.nan
 
     def goes_on(self, spin: Spin) -> bool:
-        """Whether a tick turns as the one before it."""
+        """Whether a tick has the same rate as the previous one."""
         rate = spin.about(self.axis)
         allowed = max(STEADY * abs(rate), STEADY_AT_LEAST)
         return math.isnan(self._last) or abs(rate - self._last) <= allowed

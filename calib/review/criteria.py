@@ -14,11 +14,11 @@ from mavcal.calib.recording import Sensor
 from mavcal.calib.review.effect import NAMES, amount
 
 FIELD_WITHIN: Final = 0.15
-"""Share by which a compass may read another field than the model's before steel is suspected."""
+"""Relative difference of a compass's field strength from the model's above which steel is suspected."""
 COVERED: Final = 0.4
-"""Share of the sphere below which a compass has seen few directions."""
+"""Fraction of the sphere below which a compass has covered too few directions."""
 CHANCE: Final = 1e-4
-"""Chance of residuals so large below which the model is doubted."""
+"""P-value of the residuals below which the model is doubted."""
 MATRIX_ENTRIES: Final = 9
 
 
@@ -74,7 +74,7 @@ def _of_fit(fit: FitResult, options: Mapping[str, Any]) -> list[Criterion]:
 
 
 def _judged(of: str, number: tuple[float, float, str], text: str, remedy: str, *, good: bool) -> Criterion:
-    """A criterion with its value, limit and unit; it warns where it is not good."""
+    """A criterion with its value, limit and unit; a warning unless `good`."""
     return Criterion(of, Verdict.PASS if good else Verdict.WARN, *number, text, "" if good else remedy)
 
 
@@ -88,7 +88,7 @@ def _status(fit: FitResult, name: str, key: str) -> Criterion:
 
 
 def _missing(fit: FitResult) -> str:
-    """The parameters that a fit does not determine, as part of a sentence."""
+    """Clause that lists the parameters that a fit does not determine."""
     matrix = [name for name in fit.undetermined if name.startswith("matrix")]
     if fit.quality.get("soft_iron_kept") and len(matrix) == len(fit.undetermined) == MATRIX_ENTRIES:
         return "soft iron and scale stay as they are, nothing was measured of them"
@@ -96,7 +96,7 @@ def _missing(fit: FitResult) -> str:
 
 
 def _uncertainty(fit: FitResult, options: Mapping[str, Any]) -> tuple[float, float, str] | None:
-    """What was reached, what was asked for, and the unit; None: nothing was asked for."""
+    """Uncertainty reached, uncertainty requested, and the unit; None: none was requested."""
     asked = options.get("uncertainty")
     if asked is None or fit.model.polynomial is not None:
         return None

@@ -1,10 +1,9 @@
 """Error of a sensor with the calibration in force and with the planned one.
 
-Both are corrections of the same raw readings, so what is compared is ``old(new^-1(truth)) - truth``. The truths are a
-level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the
-planned calibration leaves is the uncertainty of its fit and what the firmware cannot hold of it.
-
-In sentences the sensor with the largest gain comes first.
+Both correct the same raw readings, so the error before is ``old(new^-1(truth)) - truth``. The truths are a level turn
+and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. The error after is the
+uncertainty of the fit plus the part of it that the firmware cannot store. Sentences begin with the sensor that gains
+most.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
 DIRECTIONS: Final = 200
-"""Directions of gravity that stand for all of them."""
+"""Number of directions of gravity that represent the sphere."""
 UNITS: Final = {Sensor.GYRO: "deg/s", Sensor.ACCEL: "m/s²", Sensor.MAG: "deg"}
 NAMES: Final = {Sensor.GYRO: "gyro", Sensor.ACCEL: "accelerometer", Sensor.MAG: "compass"}
 _SUBJECT: Final = {
@@ -43,7 +42,7 @@ _SUBJECT: Final = {
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve:
-    """What is drawn: errors before over something, and the standard deviation that is left; both (N,) or (N, 3)."""
+    """Curve of the picture: errors before, and the standard deviation after, both (N,) or (N, 3), over a variable."""
 
     x: Array
     x_label: str
@@ -59,17 +58,17 @@ class SensorEffect:
     sensor: Sensor
     instance: int
     quantity: str
-    """What is off: heading, rate at rest, acceleration, level, drift."""
+    """Quantity in error: heading, rate at rest, acceleration, level, drift."""
     unit: str
     before: float | None
-    """Largest error with the calibration in force; None: what is in force is not known."""
+    """Largest error with the calibration in force; None: that calibration is not known."""
     after: float
-    """What is left: one standard deviation of the fit and what the firmware cannot hold, together."""
+    """Error after: one standard deviation of the fit, combined with what the firmware cannot store."""
     curve: ErrorCurve | None
 
 
 def effects_of(fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value]) -> tuple[SensorEffect, ...]:
-    """One effect for each fitted sensor that the plan changes; `parameters` are those that it was composed on."""
+    """One effect for each fitted sensor that the plan changes; `parameters` are those from which it was composed."""
     changed = {(change.sensor, change.instance) for change in plan.changes if change.sensor is not None}
     after = dict(parameters) | {change.name: change.new for change in plan.changes if not change.session}
     effects = []
@@ -91,7 +90,7 @@ def _in_force(plan: WritePlan, parameters: Mapping[str, Value], fit: FitResult) 
 
 
 def _instance(plan: WritePlan, parameters: Mapping[str, Value], fit: FitResult) -> int:
-    """The instance that has by order the row that the plan writes for this sensor: a PX4's may be another one."""
+    """Instance of the parameter row that the plan writes for this sensor; on PX4 it may differ from that of the fit."""
     if plan.fingerprint.autopilot == "px4":
         for change in plan.changes:
             if (change.sensor, change.instance) == (fit.sensor, fit.instance):
@@ -118,7 +117,7 @@ def _effect(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
 
 
 def _level(fit: FitResult) -> SensorEffect:
-    """Roll and pitch of the trim: what was measured is what is off."""
+    """Effect of a trim: the measured roll and pitch are the error before."""
     off = math.degrees(math.hypot(float(fit.native["roll"]), float(fit.native["pitch"])))
     sd = math.degrees(max(float(fit.native["roll_sd"]), float(fit.native["pitch_sd"])))
     return SensorEffect(fit.sensor, fit.instance, "level", "deg", off, sd, None)
@@ -157,7 +156,7 @@ def heading_errors(old: TriadModel, new: TriadModel, strength: float, dip: float
 
 
 def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect:
-    """Rate of a gyro at rest, or specific force of an accelerometer over all directions."""
+    """Effect on a gyro's rate at rest, or on an accelerometer's specific force over all directions."""
     gyro = fit.sensor == Sensor.GYRO
     factor = math.degrees(1.0) if gyro else 1.0
     truths = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * _sphere(DIRECTIONS)
@@ -181,7 +180,7 @@ def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
 
 
 def _drift(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect | None:
-    """Largest change of the offset over the calibrated temperatures that is not corrected now."""
+    """Effect of a drift calibration: the largest uncorrected change of the offset over its temperatures."""
     measured = fit.model.polynomial
     assert measured is not None
     gyro = fit.sensor == Sensor.GYRO
@@ -199,7 +198,7 @@ def _drift(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadMo
 
 
 def _left(fit: FitResult, plan: WritePlan, sd: float, unit: str) -> float:
-    """The uncertainty of the fit together with what the firmware cannot hold, where that has the same unit."""
+    """Uncertainty of the fit, combined with what the firmware cannot store, where that has the same unit."""
     spelled = {unit, unit.replace("²", "2")}
     costs = [
         loss.cost
@@ -223,7 +222,7 @@ def _sphere(count: int) -> Array:
 
 
 def headline_of(effects: Sequence[SensorEffect], *, done: bool = False) -> str:
-    """One sentence about the sensor that gains most. `done`: the plan has been written."""
+    """One sentence about the sensor that gains most; `done`: the plan has been written."""
     if not effects:
         return "This plan changes no sensor."
     known = [effect for effect in effects if effect.before is not None]
@@ -242,7 +241,7 @@ def headline_of(effects: Sequence[SensorEffect], *, done: bool = False) -> str:
 
 
 def text_of(effect: SensorEffect, *, done: bool = False) -> str:
-    """What the plan does for one sensor. `done`: it has been written."""
+    """Sentence about the plan's effect on one sensor; `done`: it has been written."""
     then = amount(effect.after, effect.unit)
     if effect.before is None:
         return f"{effect.quantity} {'is' if done else 'will be'} known to {then}"
@@ -252,5 +251,5 @@ def text_of(effect: SensorEffect, *, done: bool = False) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Two significant digits and the unit."""
+    """`value` to two significant digits, with the unit."""
     return f"{value:.2g} {unit}" if value < 100 else f"{value:.0f} {unit}"

@@ -43,7 +43,7 @@ class StatedMounting:
 def mountings_of(
     fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value], options: Mapping[str, Any]
 ) -> tuple[StatedMounting, ...]:
-    """The compasses whose mounting can be chosen: those with a rotation of their own that the calibration looked at."""
+    """Compasses whose mounting can be chosen: those with their own rotation parameter that the calibration examined."""
     chosen, autopilot = compose_options(options).mountings, plan.fingerprint.autopilot
     found = []
     for fit in fits:
@@ -59,7 +59,7 @@ def mountings_of(
 
 
 def choices_of(autopilot: str) -> tuple[MountingChoice, ...]:
-    """Every rotation that the firmware has by number; of two that are the same, the first."""
+    """Every numbered rotation of the firmware; of two equal ones, the first."""
     found: dict[bytes, MountingChoice] = {}
     for number in range(len(ROTATIONS[autopilot])):
         matrix = rotation_matrix(autopilot, number)

@@ -17,7 +17,7 @@ BEFORE, AFTER = "#b3261e", "#14713a"
 AXES: Final = ("x", "y", "z")
 FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
 SHADES: Final = ("#b3261e", "#c9731f", "#7a4fb5")
-"""Axes of a drift before."""
+"""Colours of the three axes of a drift before."""
 
 
 def picture_of(effects: Sequence[SensorEffect], alt_text: str, columns: int | None = None) -> Markup | None:

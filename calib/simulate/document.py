@@ -1,4 +1,4 @@
-"""Sensor errors as a document, from whatever file states them, and the truth of a simulation as JSON."""
+"""Sensor errors read from parameter files, and the truth of a simulation as JSON."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Stated:
 
 
 def stated_in(text: str, suffix: str, *, frame: Frame = "ned", instance: int = 0, rate: float = 100.0) -> Stated:
-    """Sensor errors out of the text of a file.
+    """Sensor errors from the text of a file.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def stated_in(text: str, suffix: str, *, frame: Frame = "ned", instance: int = 0
         JSON with ``accel gyro mag`` and the fields of :class:`SensorErrors`, or with ``accelparams gyroparams
         magparams`` and MATLAB's properties; or lines ``SIM_ACC1_BIAS_X,0.1``.
     suffix
-        Ending of the file, which says what it is: ``.json``, else ``.param .parm .params``.
+        Suffix of the file, which gives its format: ``.json``, else ``.param .parm .params``.
     frame
         Body axes of a JSON: forward-right-down for ned, forward-left-up for enu. ``SIM_*`` is forward-right-down.
     instance, rate
@@ -53,7 +53,7 @@ def stated_in(text: str, suffix: str, *, frame: Frame = "ned", instance: int = 0
     UnreadableError
         If the text is not of that form.
     InvalidInputError
-        If a number in it cannot be.
+        If a number in it is impossible.
     """
     if suffix.lower() in _TEXT_FORMS:
         found = from_sitl(_parameters(text), instance=instance, rate=rate)
@@ -81,7 +81,7 @@ def errors_from_json(fields: Mapping[str, Any]) -> SensorErrors:
     Raises
     ------
     InvalidInputError
-        If a field is unknown, or not what it must be.
+        If a field is unknown or has an invalid value.
     """
     known = {f.name for f in dataclasses.fields(SensorErrors)}
     unknown = sorted(set(fields) - known)
@@ -108,7 +108,7 @@ def errors_to_json(errors: SensorErrors) -> dict[str, Any]:
 
 
 def truth_to_json(made: Simulated, *, frame: Frame, **about: Any) -> dict[str, Any]:
-    """What made a recording; `about` is put in front.
+    """What produced a recording, as JSON; `about` comes first.
 
     ``sensors`` holds the errors in the axes of `frame`, fit to be stated again; ``models`` their corrections as a fit
     should find them, forward-right-down whatever the frame; ``segments`` the true rate (rad/s, likewise) and the

@@ -3,8 +3,8 @@
 ``imuSensor`` computes ``(1 + TemperatureScaleFactor/100 (T - 25)) * (AxesMisalignment/100 x + ConstantBias + drift +
 TemperatureBias (T - 25))``, clips it to the range and rounds it. Three things differ from this package:
 
-* its accelerometer reads gravity less acceleration, in NED and in ENU: minus the specific force, so every bias of an
-  accelerometer changes its sign;
+* its accelerometer reads gravity less acceleration in NED and in ENU, the negative specific force: accelerometer biases
+change sign;
 * the body axes of an ENU sensor are forward-left-up;
 * ``NoiseType`` ``double-sided`` (the default) gives a sample ``NoiseDensity sqrt(rate/2)`` and a step
   ``RandomWalk / sqrt(rate/2)``, ``single-sided`` the whole rate, as the Allan coefficients do.
@@ -40,7 +40,7 @@ _PROPERTIES = {
 
 @dataclass(frozen=True, eq=False)
 class MatlabParameters:
-    """Properties by name, and in words what of the sensor they cannot hold."""
+    """Properties by name, and in words which errors they cannot represent."""
 
     values: Mapping[str, Any]
     not_held: tuple[str, ...]
@@ -54,7 +54,7 @@ def from_matlab(properties: Mapping[str, Any], sensor: Sensor, *, frame: Frame =
     properties
         By MATLAB's names; those left out have MATLAB's defaults. Scalars stand for three equal axes.
     sensor
-        Whose they are.
+        The sensor that they belong to.
     frame
         ``ReferenceFrame`` of the ``imuSensor`` that they belong to.
 
@@ -91,17 +91,16 @@ def from_matlab(properties: Mapping[str, Any], sensor: Sensor, *, frame: Frame =
 
 
 def to_matlab(errors: SensorErrors, sensor: Sensor, *, frame: Frame = "ned", poles: int = 64) -> MatlabParameters:
-    """The properties of a MATLAB parameter object, and what it cannot hold.
+    """The properties of a MATLAB parameter object, and which errors it cannot represent.
 
     Parameters
     ----------
     errors, sensor
-        What is wrong with which sensor, in the contract's axes.
+        The sensor and its errors, in the contract's axes.
     frame
         ``ReferenceFrame`` of the ``imuSensor`` that the properties are for.
     poles
-        Terms of the filter that stands for flicker noise where the errors name none: it is flat below about
-        ``rate / poles``.
+        Terms of the flicker filter where the errors name none; its spectrum is flat below about ``rate / poles``.
     """
     e = errors if frame == "ned" else errors_turned(errors)
     sign = -1.0 if sensor == Sensor.ACCEL else 1.0
@@ -145,7 +144,7 @@ def to_matlab(errors: SensorErrors, sensor: Sensor, *, frame: Frame = "ned", pol
 
 
 def _about_25(e: SensorErrors) -> tuple[Array, Array, bool]:
-    """Bias and slope at 25 degC, and whether the drift bends there."""
+    """Bias and slope at 25 degC, and whether the drift is curved there."""
     if e.temperature.shape[1] == 0:
         return e.bias, np.zeros(3), False
     curve = [
@@ -173,7 +172,7 @@ def _coefficients(properties: Mapping[str, Any]) -> list[float]:
 
 
 def _misalignment(value: Any) -> Array:
-    """Percent (3, 3): a scalar or one number a column fills what is beside a diagonal of 100."""
+    """Misalignment (3, 3) in percent; a scalar, or one number a column, fills the entries off a diagonal of 100."""
     array = _array("AxesMisalignment", value)
     if array.size in {1, 3}:
         return np.where(np.eye(3, dtype=bool), 100.0, np.broadcast_to(array.ravel(), (3, 3)))

@@ -1,7 +1,7 @@
 """Motion of a sensor: legs one after another, and their trajectory.
 
-A leg turns the body from where the last one left it, about axes of the body. Attitude, rate and specific force come
-from one formula each, so they agree to rounding.
+A leg turns the body from where the last one left it, about axes of the body. Attitude, rate and specific force each
+come from one formula, so they agree to rounding.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Array, Segment
 
 Turning = Callable[[Array], tuple[Rotation, Array]]
-"""From seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
+"""Function of seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
 _MOST = 2e7  # samples of a trajectory: some gigabytes
 
 
@@ -60,7 +60,7 @@ class Trajectory:
 
     @property
     def samples_per_second(self) -> float:
-        """From the median step."""
+        """Sample rate from the median step, 1/s."""
         return 1.0 / float(np.median(np.diff(self.t)))
 
 
@@ -85,7 +85,7 @@ class Warming:
 
 
 def hold(duration: float, label: str = "") -> Leg:
-    """Still."""
+    """A leg at rest."""
     return Leg(duration, lambda t: (Rotation.identity(len(t)), np.zeros((len(t), 3))), label)
 
 
@@ -121,7 +121,7 @@ def ramp(start: Array, end: Array, duration: float) -> Leg:
 
 
 def weave(duration: float, angles: Callable[[Array], tuple[Array, Array]]) -> Leg:
-    """Yaw, pitch and roll as functions of time: `angles` gives them (n, 3) in rad with their derivatives (n, 3)."""
+    """A leg of yaw, pitch and roll over time: `angles` gives them (n, 3), rad, and their derivatives (n, 3)."""
 
     def turning(t: Array) -> tuple[Rotation, Array]:
         (yaw, pitch, roll), (dyaw, dpitch, droll) = (part.T for part in angles(t))
@@ -188,7 +188,7 @@ def trajectory(
 def along(
     t: Array, attitude: Rotation, *, field: Array, gravity: float = STANDARD_GRAVITY, warming: Warming | None = None
 ) -> Trajectory:
-    """A trajectory through given attitudes (N) at times `t` (N,): rates from a spline through them, no acceleration.
+    """A trajectory through N attitudes at times `t` (N,), without acceleration; a spline through them gives the rates.
 
     Raises
     ------

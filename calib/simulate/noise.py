@@ -17,8 +17,8 @@ def white(rng: np.random.Generator, count: int, density: Array, rate: float) -> 
 def flicker(rng: np.random.Generator, count: int, instability: Array, poles: Array | None = None) -> Array:
     """Flicker noise (count, 3) of spectrum ``B^2 / (2 pi f)``: its Allan deviation is flat at ``B sqrt(2 ln 2 / pi)``.
 
-    White noise of standard deviation ``B`` is half integrated, ``(1 - z^-1)^(-1/2)``. Its spectrum is then
-    ``B^2 dt / (2 sin(pi f dt))`` (Kasdin 1995). Far below the rate ``1 / dt`` that does not depend on the rate. With
+    White noise of standard deviation ``B`` is half integrated, ``(1 - z^-1)^(-1/2)``. Its spectrum is then ``B^2 dt /
+    (2 sin(pi f dt))`` (Kasdin 1995). Far below the rate ``1 / dt`` the spectrum does not depend on that rate. With
     `poles` the white noise is filtered by one over that polynomial instead.
     """
     if not instability.any():

@@ -1,4 +1,4 @@
-"""Motions by name: the ones that the methods ask for."""
+"""Motions by name: those that the calibration methods need."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class MotionPreset:
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """What may be chosen of a motion; None: the motion's own.
+    """Options of a motion; None: the motion's own value.
 
     `duration` is the length in seconds of a rest, a tumble, a warm-up or a figure of eight. For the others it is that
     of every pose, ring and turn. `poses` are the oblique ones beside the six faces. `fixture_sd` is the tilt of every
-    held face about each horizontal axis, degrees. `back`: six faces and poses are visited again in opposite order, so
-    that temperature and pose are not confounded.
+    held face about each horizontal axis, degrees. `back`: faces and poses are visited again in reverse order, so that
+    temperature and pose are not confounded.
     """
 
     duration: float | None = None
@@ -87,7 +87,7 @@ def poses(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
 
 
 def tumble(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
-    """Never still, all directions: yaw, pitch and roll at speeds without a common measure, begun anywhere."""
+    """A motion through all directions, never still: yaw, pitch and roll at incommensurate speeds and random phases."""
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     speeds = np.array([0.61803, 0.41421, 1.17320])
 
@@ -102,7 +102,7 @@ def tumble(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
 
 
 def figure_eight(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
-    """A figure of eight waved with the wrist: yaw once while roll goes twice, pitch between, slowly turning."""
+    """A figure of eight from the wrist, slowly turning: two periods of roll to one of yaw, with pitch between."""
     w = 2.0 * np.pi / 4.0
     phase = float(rng.uniform(0.0, 2.0 * np.pi))
 
@@ -182,7 +182,7 @@ def motion_of(name: str, options: MotionOptions, rng: np.random.Generator) -> Mo
     Raises
     ------
     InvalidInputError
-        If there is none of that name.
+        If no motion has that name.
     """
     if name not in MOTIONS:
         raise InvalidInputError(f"a motion is one of {', '.join(MOTIONS)}, not {name!r}")
@@ -190,7 +190,7 @@ def motion_of(name: str, options: MotionOptions, rng: np.random.Generator) -> Mo
 
 
 def _held(attitudes: Sequence[Rotation], options: MotionOptions, rng: np.random.Generator) -> list[Rotation]:
-    """`attitudes` as a fixture holds them: each tilted a little about both horizontal axes."""
+    """`attitudes` as a fixture holds them, each slightly tilted about both horizontal axes."""
     if options.fixture_sd == 0.0:
         return list(attitudes)
     tilts = np.radians(options.fixture_sd) * rng.normal(size=(len(attitudes), 2))

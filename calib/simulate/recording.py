@@ -34,7 +34,7 @@ class SensorSuite:
 
     @property
     def by_sensor(self) -> Mapping[Sensor, SensorErrors]:
-        """The same by sensor."""
+        """The errors by sensor."""
         return {Sensor.ACCEL: self.accel, Sensor.GYRO: self.gyro, Sensor.MAG: self.mag}
 
     def streamed(self) -> SensorSuite:
@@ -63,16 +63,16 @@ def simulate(
     Parameters
     ----------
     path, suite
-        How they move, and what is wrong with them.
+        The motion of the sensors, and their errors.
     rng
-        Draws the noise: accelerometer, gyroscope, magnetometer in this order, so the same seed makes the same samples.
+        Random generator of the noise, drawn for accelerometer, gyroscope, magnetometer in this order.
     mag_rate
         Samples a second of the magnetometer, at most the trajectory's; None: the trajectory's.
 
     Raises
     ------
     InvalidInputError
-        If `mag_rate` is no rate that the trajectory has samples for.
+        If the trajectory has no samples for `mag_rate`.
     """
     rate = path.samples_per_second
     every = _stride(rate, mag_rate)
@@ -138,7 +138,8 @@ def _wxyz(path: Trajectory) -> Array:
 def in_frame(recording: Recording, frame: Frame) -> Recording:
     """`recording` (contract axes) with vectors forward-left-up and attitudes to east-north-up, if `frame` is ``enu``.
 
-    For tables that are read with ``--world enu --body flu``. A truncated channel stays what it is: zero is its centre.
+    For tables that are read with ``--world enu --body flu``. A truncated channel stays valid: its zero is in the
+    middle.
     """
     if frame == "ned":
         return recording

@@ -1,4 +1,4 @@
-"""A calibration judged against the truth, where a simulator or a bench knows it."""
+"""Comparison of a calibration with the truth, if a simulator or a test bench knows it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RecoveryScore:
 
 
 def score(stored: TriadModel, fit: FitResult, truth: TriadModel, names: tuple[str, ...]) -> RecoveryScore:
-    """What `stored` (the calibration in force on the vehicle) misses of `truth`, against the uncertainty of `fit`.
+    """Error of `stored` (the calibration in force on the vehicle) against `truth`, with the uncertainty of `fit`.
 
     Matrices are compared in their symmetric form, offsets at the temperature of the fit, polynomials about the
     fit's own reference. `names` are those of :func:`calib.fit.parameter_names` that the vehicle can hold.

@@ -22,7 +22,7 @@ _PER_AXIS = ("bias", "noise_density", "bias_instability", "random_walk", "temper
 
 @dataclass(frozen=True, eq=False)
 class SensorErrors:
-    """Everything that is wrong with a sensor; the defaults are an ideal one. Units are the sensor's.
+    """Errors of a sensor; the defaults are an ideal one. Units are the sensor's.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class SensorErrors:
     temperature : shape (3, k)
         Bias per degC, per degC^2 ..., of ``T - t_ref``, not clamped.
     temperature_scale : shape (3,)
-        Fraction per degC by which everything before grows.
+        Relative change per degC of all the above.
     g_sensitivity : shape (3, 3)
         ``G``: rad/s per m/s2 of specific force, for gyroscopes.
     thermal_lag : float
@@ -49,7 +49,7 @@ class SensorErrors:
     full_scale : float
         Largest reading of either sign; infinite where there is none.
     resolution, rounding
-        Step of the numbers (0: none), and how they come about.
+        Step of the numbers (0: none), and how they are rounded.
     """
 
     bias: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
@@ -104,7 +104,7 @@ class SensorErrors:
 
     @property
     def correction(self) -> TriadModel:
-        """What a perfect calibration finds at constant scale: ``M^-1 (y - b - p(T))``."""
+        """The correction that a perfect calibration finds at constant scale: ``M^-1 (y - b - p(T))``."""
         return TriadModel(self.bias, np.asarray(np.linalg.inv(self.matrix), dtype=np.float64), self.drift)
 
     def systematic(self, truth: Array, temperature: Array | None = None, force: Array | None = None) -> Array:
@@ -144,7 +144,7 @@ class SensorErrors:
         temperature: Array | None = None,
         force: Array | None = None,
     ) -> SimulatedReadings:
-        """What the sensor reads: :meth:`systematic` with noise, clipped and made discrete."""
+        """Readings of the sensor: :meth:`systematic` with noise, clipped and made discrete."""
         noise = self.random(len(truth), rate, rng) * self._growth(temperature)
         return self.discrete(self.systematic(truth, temperature, force) + noise)
 
@@ -174,7 +174,7 @@ class SimulatedReadings:
 
 
 def _nearest(x: Array) -> Array:
-    """Halves away from zero, as hardware and MATLAB round; numpy's go to the even number."""
+    """Nearest integers with halves away from zero, as in hardware and MATLAB; numpy rounds halves to even."""
     return np.asarray(np.sign(x) * np.floor(np.abs(x) + 0.5), dtype=np.float64)
 
 

@@ -43,7 +43,7 @@ _UNUSED = (  # families that shape a sensor but have no counterpart here
 
 @dataclass(frozen=True, eq=False)
 class SitlSensors:
-    """What one instance of ``SIM_*`` says: its sensors, the temperature's course, and what has no counterpart."""
+    """Contents of one instance of ``SIM_*``: its sensors, the warm-up, and parameters without a counterpart."""
 
     suite: SensorSuite
     warming: Warming | None
@@ -52,7 +52,7 @@ class SitlSensors:
 
 @dataclass(frozen=True, eq=False)
 class SitlParameters:
-    """``SIM_*`` by name, and in words what of the sensors they cannot hold."""
+    """``SIM_*`` by name, and in words which errors they cannot represent."""
 
     values: Mapping[str, float]
     not_held: tuple[str, ...]
@@ -64,16 +64,16 @@ def from_sitl(parameters: Mapping[str, float], *, instance: int = 0, rate: float
     Parameters
     ----------
     parameters
-        By name; the names without a number of older versions stand for the first instance.
+        Parameters by name; names without a number, from older versions, stand for the first instance.
     instance
         From 0.
     rate
-        Samples a second at which SITL's uniform noise is drawn; None: no noise.
+        Sample rate of SITL's uniform noise, 1/s; None: no noise.
 
     Raises
     ------
     InvalidInputError
-        If nothing of it is a ``SIM_*`` of a sensor, or a matrix has no inverse.
+        If no ``SIM_*`` of a sensor is among them, or a matrix has no inverse.
     """
     if not any(name.startswith(("SIM_ACC", "SIM_GYR", "SIM_MAG", "SIM_IMUT")) for name in parameters):
         raise InvalidInputError("there is no SIM_ACC*, SIM_GYR*, SIM_MAG* or SIM_IMUT* among the parameters")
@@ -127,7 +127,7 @@ def _ignored(parameters: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def to_sitl(suite: SensorSuite, *, instance: int = 0, warming: Warming | None = None) -> SitlParameters:
-    """``SIM_*`` of `instance` (from 0) that make SITL's sensors like `suite`, and what they cannot hold.
+    """``SIM_*`` of `instance` (from 0) that make SITL's sensors like `suite`, and which errors they cannot represent.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Variance of the mean of correlated samples.
 
-What a vehicle streams went through a low-pass filter and rides on slow drift, so N samples are worth fewer than N. The
-*long-run variance* S of a series is what makes ``var(mean) = S / N`` true; for white noise it is the variance.
+Streamed samples are low-passed and have slow drift, so N samples are worth fewer than N. The *long-run variance* S of a
+series satisfies ``var(mean) = S / N``; for white noise it is the variance.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _BLOCKS = 16
 _SIGNIFICANT = 0.001  # chance at which drift between blocks is believed
 _TINY = 1e-300
 _RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e6, 33)])  # variance of the walk over the white one
-# Chances that there is none, against one for each of the 33 ratios. A warm-up one way cannot tell a small walk from
-# drift, so whatever is assumed errs one way. The figures are those of a cubic, squared errors over stated ones.
+# Prior weights of no walk, against one for each of the 33 ratios. A one-way warm-up cannot tell a small walk from
+# drift, so any assumption errs to one side. The figures are squared errors over stated ones, for a cubic.
 _ALONE = 8.0
-"""One series: 0.45 where noise is white, 1.9 under the worst walk, and 2.6 % of errors there beyond 4.5 sd."""
+"""For one series: 0.45 with white noise and 1.9 under the worst walk, where 2.6 % of errors exceed 4.5 sd."""
 _TOGETHER = 1.0
-"""Three series that tell each other how much walk there is: 0.41 where noise is white, 1.3 at worst, 0.4 % beyond."""
+"""For three series that share information on the walk: 0.41 with white noise, 1.3 at worst, 0.4 % beyond 4.5 sd."""
 _SHARED = 0.5
-"""Weight of what the other series say of the ratio: a walk that differs twofold between them costs nothing (1.2)."""
+"""Weight of the other series' information on the ratio: a twofold difference of the walks does no harm (1.2)."""
 _STEADY = 1e-10  # of a series' size: residuals below that are rounding and tell nothing of noise
 _LEAST_FREEDOM = 12  # residuals below which colour cannot be told from chance
 
@@ -35,9 +35,9 @@ _LEAST_FREEDOM = 12  # residuals below which colour cannot be told from chance
 def long_run_variance(series: Array) -> float:
     """Long-run variance of `series` (N,), at least its variance and at most N times that.
 
-    The spectral density at frequency zero of an autoregression whose order minimises Akaike's
-    criterion, ``s2 / (1 - sum phi)^2``; white noise chooses order 0. Where the means of sixteen blocks scatter
-    more than that explains (drift slower than any order sees), the scatter of the blocks counts instead.
+    The spectral density at frequency zero of an autoregression whose order minimises Akaike's criterion, ``s2 / (1 -
+    sum phi)^2``; white noise chooses order 0. If the means of sixteen blocks scatter more (drift too slow for any
+    order), the scatter of the blocks is used instead.
     """
     x = np.asarray(series, dtype=np.float64)
     x = x - x.mean()
@@ -80,8 +80,8 @@ def _autoregressive_factor(x: Array) -> float:
 class ColouredCovariance:
     """Covariances (k, p, p) of the p coefficients of k series fitted by least squares, under coloured noise.
 
-    `whiteness` (k,) is the probability that a series has no random walk to speak of; `excess` (k,)
-    is the largest ratio of a coefficient's variance to what white noise would make it.
+    `whiteness` (k,) is the probability that a series has no noticeable random walk. `excess` (k,) is the largest ratio
+    of a coefficient's variance to that under white noise.
     """
 
     covariances: Array
@@ -92,13 +92,12 @@ class ColouredCovariance:
 def coloured_covariance(design: Array, series: Array, counts: Array, t: Array, *, gram: Array) -> ColouredCovariance:
     """Covariance of least squares whose noise is white plus a random walk in time.
 
-    How much walk there is follows from the block means by restricted maximum likelihood, which knows that a fit
-    absorbs slow noise; the answer is averaged over it with the weights of the likelihood. The series are taken for axes
-    of one sensor, whose ratios of walk to white noise are alike: each listens to the others.
+    The size of the walk follows from the block means by restricted maximum likelihood, which allows for slow noise
+    absorbed by the fit. The result is averaged over it, weighted by the likelihood. The series are axes of one sensor
+    with similar ratios of walk to white noise, so they share information.
 
-    A random walk has more power at the slowest scales than any wander that returns to its mean. Errors of that kind
-    therefore come out on the safe side. The estimate stays ordinary least squares: the best one for the walk is only a
-    twentieth better.
+    A random walk has more power at the slowest scales than any mean-reverting wander, whose errors are therefore
+    overestimated. The estimate stays ordinary least squares: the best one for the walk is only a twentieth better.
 
     Parameters
     ----------
@@ -142,7 +141,7 @@ def coloured_covariance(design: Array, series: Array, counts: Array, t: Array, *
 
 
 def _shared(log_likelihood: Array, informative: NDArray[np.bool_]) -> tuple[Array, float]:
-    """The likelihood (ratios, k) of each series with what the `informative` others say, and the chance of no walk."""
+    """Likelihood (ratios, k) of each series, combined with the `informative` others, and the probability of no walk."""
     if informative.sum() < 2:
         return log_likelihood, _ALONE
     informative_likelihood = np.where(informative, log_likelihood, 0.0)

@@ -1,7 +1,7 @@
 """The equation ``|C (m - b)| = g`` on pose means: nine numbers, C symmetric, solved by Gauss and Newton.
 
-Everything here is in units of the poses' own radius, so that C is near the identity and gravity is one; the public
-fit is :func:`calib.accel.poses.fit_poses`.
+Everything here is in units of the poses' own radius, so that C is near the identity and gravity is one. The public fit
+is :func:`calib.accel.poses.fit_poses`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 NEUTRAL = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """The parameters of a sensor without error."""
 UNDETERMINED = 0.02
-"""Share of a radius, or of one: an offset, scale or cross term with a larger sd is not an estimate."""
+"""Largest sd of an estimate: of an offset relative to the radius, and of a scale or cross term."""
 _CROSS_LEARNT = 0.5  # of the prior's sd: a cross term that the data do not halve stays unknown
 
 
@@ -38,7 +38,7 @@ class NormProblem:
 
     @classmethod
     def of(cls, poses: Sequence[PoseMean], *, in_si: bool, gravity: float, cross_sd: float | None) -> NormProblem:
-        """The problem of `poses`; `in_si`: their radius is `gravity`, else it is found from them."""
+        """The problem of `poses`; `in_si`: their radius is `gravity`, else it is estimated from them."""
         means = np.array([pose.mean for pose in poses])
         covariances = np.array([pose.covariance for pose in poses])
         centre, radius = (np.zeros(3), gravity) if in_si else sphere_of(means)
@@ -50,7 +50,7 @@ class NormProblem:
 
 @dataclass(frozen=True, eq=False)
 class NormSolution:
-    """Where the iteration ended: estimate, posterior covariance, and the linearisation there."""
+    """The result of the iteration: estimate, posterior covariance, and the linearisation there."""
 
     parameters: Array  # (9,) b, then C in the order of PAIRS
     covariance: Array  # (9, 9)
@@ -113,7 +113,7 @@ def newton_step(information: Array, gradient: Array, free: Sequence[int]) -> Arr
 
 
 def linearised(d: Array, c: Array, covariances: Array) -> tuple[Array, Array, Array, Array]:
-    """Of ``|C d| - 1``: its Jacobian (K, 9) by the offset in `d` (K, 3) and by `c`, itself, direction, and sd.
+    """Jacobian (K, 9) of ``|C d| - 1`` by the offset in `d` (K, 3) and by `c`, its value, direction and sd.
 
     `c` has the entries of C in the order of PAIRS; `covariances` (K, 3, 3) are those of `d`.
     """
@@ -136,7 +136,7 @@ def symmetric(c: Array) -> Array:
 
 
 def weighted_along(problem: NormProblem, poses: Sequence[PoseMean], solution: NormSolution) -> NormProblem:
-    """The same problem with each pose's variance taken along its own normal, as `solution` knows it."""
+    """The problem with each pose's variance along its own normal, from `solution`."""
     C = symmetric(solution.parameters[3:])
     normals = solution.directions @ C
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -149,7 +149,7 @@ def weighted_along(problem: NormProblem, poses: Sequence[PoseMean], solution: No
 
 
 def unlearnt(problem: NormProblem, solution: NormSolution, cross_sd: float | None) -> list[int]:
-    """Cross terms that the poses determine less than the prior does."""
+    """Cross terms with less information from the poses than from the prior."""
     if cross_sd == 0.0:
         return []
     limit = UNDETERMINED if cross_sd is None else _CROSS_LEARNT * cross_sd
@@ -179,7 +179,7 @@ def without_crosses(problem: NormProblem, solution: NormSolution, crosses: list[
 
 
 def with_neutral(x: Array, covariance: Array, unknown: list[int]) -> tuple[Array, Array]:
-    """The same with `unknown` parameters at their neutral values and without variance."""
+    """Estimate and covariance with `unknown` parameters at their neutral values and without variance."""
     x, covariance = x.copy(), covariance.copy()
     x[unknown] = NEUTRAL[unknown]
     covariance[unknown, :] = 0.0

@@ -3,7 +3,7 @@
 A vehicle's streams are integers: 1 mG, 1 mrad/s, 1 mgauss. C++ truncates toward zero, so the bin around zero is twice
 as wide as the others (FLIGHT_CONTROLLERS 2.1). With noise below about half a bin the mean of many samples is biased.
 The bias is up to ``(q/pi) exp(-2 pi^2 s^2/q^2)`` (METHODS 0), and no averaging helps. The likelihood of the *intervals*
-has no such bias: a sample says that the value lay between the edges of its bin, and no more.
+has no such bias: a sample only states that the value lay within its bin.
 
 With ``delta = beta/sigma`` and ``tau = 1/sigma`` the log-likelihood of a Gaussian linear model with interval data is
 concave (Burridge 1981). Newton's method therefore finds its maximum from anywhere.
@@ -36,10 +36,11 @@ _GRID_REPEATS = 4  # times that a level occurs, on average, where numbers were r
 class QuantisedMean:
     """Mean of a channel's samples, shape (k,), in the channel's unit.
 
-    `covariance` (k, k) is that of the mean, serial correlation included. `sd` (k,) is the noise of one sample, nan
-    for a `constant` axis: its samples all lie in one bin, the mean is that bin's middle and anywhere in the bin is as
-    likely. `n_effective` is the number of independent samples that the worst axis is worth. `influence` (N, k) is each
-    sample's pull, whose mean scatters as the estimate does, `bin_variance` (k,) what one or two bins leave open.
+    `covariance` (k, k) is that of the mean, serial correlation included. `sd` (k,) is the noise of one sample, nan for
+    a `constant` axis. All samples of such an axis are in one bin, its mean is the middle, and every value in the bin is
+    equally likely. `n_effective` is the effective number of independent samples on the worst axis. `influence` (N, k)
+    is each sample's influence, whose mean scatters like the estimate; `bin_variance` (k,) is the variance left by one
+    or two bins.
     """
 
     mean: Array
@@ -60,7 +61,7 @@ class QuantisedMean:
 class IntervalFit:
     """Coefficients (p,), their influence per sample (N, p) whose sum scatters as they do, and the noise of a sample.
 
-    `at_limit`: the data show no noise at all; `sigma` is then the smallest believed one and not an estimate.
+    `at_limit`: the data show no noise; `sigma` is then the lower limit, not an estimate.
     """
 
     coefficients: Array
@@ -70,9 +71,9 @@ class IntervalFit:
 
 
 def with_apparent_quantum(channel: Channel) -> Channel:
-    """`channel` with the quantum that its numbers show, where none is stated and they repeat on a grid.
+    """`channel` with its apparent quantum, if none is stated and its values lie on a grid.
 
-    Numbers rounded by another program would otherwise pass for noiseless ones.
+    Values rounded by another program would otherwise look noiseless.
     """
     if channel.quantum > 0.0 or len(channel) < _GRID_SAMPLES:
         return channel
@@ -152,9 +153,9 @@ def interval_regression(
     values, half : shape (N,)
         Middles of the bins and half their widths, all positive.
     weights : shape (N,) or None
-        How many samples each row stands for; None: one.
+        Number of samples that each row represents; None: one.
     smallest : float
-        Least noise that is believed; the likelihood of noiseless data has no maximum.
+        Lower limit of the noise; the likelihood of noiseless data has no maximum.
     """
     scale = 2.0 * float(np.min(half))
     lower, upper = (values - half) / scale, (values + half) / scale
@@ -215,10 +216,10 @@ def _axis_mean(values: Array, half: Array, quantum: float) -> _AxisMean:
 
 
 def _two_bins(values: Array, bins: NDArray[np.complex128], quantum: float) -> _AxisMean:
-    """Two neighbouring bins tell one number, ``(edge - mu)/sigma``: averaged over what sigma may be.
+    """Mean from two neighbouring bins, which determine only ``(edge - mu)/sigma``; averaged over the possible sigma.
 
-    Every sigma from none to one quantum is as likely, as long as it leaves the bins beyond these two empty: that makes
-    mu about uniform over what is possible.
+    Every sigma from zero to one quantum is equally likely if it leaves the bins beyond these two empty. This makes mu
+    about uniform over its possible range.
     """
     (lower_value, upper_value), (lower_half, upper_half) = bins.real, bins.imag
     edge = 0.5 * (lower_value + lower_half + upper_value - upper_half)

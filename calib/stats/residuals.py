@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WHITE = 0.001
-"""Chance below which residuals do not count as white."""
+"""P-value below which residuals do not count as white."""
 
 
 class ResidualStatistics(TypedDict):
     """Part of :attr:`calib.fit.FitResult.quality`, the same for every method."""
 
     chi2: float | None
-    """Sum of squares over the variance that the noise should have; None: the noise is known from them alone."""
+    """Sum of squares over the expected noise variance; None: the noise is known only from the residuals."""
     dof: int
     p_value: float | None
-    """Chance of so large a `chi2`; None with it, or without degrees of freedom."""
+    """Probability of so large a `chi2`; None without it, or without degrees of freedom."""
     first_correlation: float
     """Correlation of each residual with the one before."""
     white: bool | None
-    """Whether that may be chance; None: too few to tell."""
+    """Whether that correlation is insignificant; None: too few residuals to tell."""
 
 
 def first_correlation(series: Array) -> float:
@@ -41,11 +41,11 @@ def residual_statistics(residuals: Array, dof: int, noise_sd: float | None) -> R
     Parameters
     ----------
     residuals : shape (N,) or (N, k)
-        In order of time; columns are series of their own.
+        In order of time; each column is a series.
     dof
         Degrees of freedom: numbers less fitted parameters.
     noise_sd
-        What their standard deviation should be, same unit (1 for standardised ones); None: not known apart from them.
+        Expected standard deviation, same unit (1 for standardised ones); None: known only from the residuals.
 
     >>> residual_statistics(np.array([1.0, -1.0, 1.0, -1.0]), 3, 1.0)["chi2"]
     4.0

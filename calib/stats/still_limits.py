@@ -13,7 +13,7 @@ from mavcal.calib.errors import InvalidInputError
 
 @dataclass(frozen=True)
 class StillnessLimits:
-    """What counts as still. Scatter is the length of the three axes' standard deviations about a line.
+    """Limits of stillness. Scatter is the norm of the three axes' standard deviations about a straight line.
 
     The limits of the accelerometer are fractions of gravity, so they hold for counts too.
     """
@@ -38,7 +38,7 @@ HELD = StillnessLimits(
     gyro_drift=0.3,
     shortest=1.0,
 )
-"""Held by hand, with sway and tremor of a degree or two."""
+"""Limits for a hand-held pose, with sway and tremor of a degree or two."""
 
 RESTING = StillnessLimits(
     window=0.5,
@@ -50,14 +50,14 @@ RESTING = StillnessLimits(
     gyro_drift=0.01,
     shortest=1.0,
 )
-"""On a table: nothing touches it."""
+"""Limits for rest on a table, untouched."""
 HOLD_S = 2.0
-"""How long a pose has to be held for :data:`HELD`: its shortest span, half a window at each end, and some to spare."""
+"""Hold time of a pose, s, for :data:`HELD`: its shortest span, half a window at each end, and a margin."""
 
 SHORTER = (0.5, 0.25)
-"""Parts of the time asked for at which it is looked whether poses were held for less."""
+"""Fractions of the requested hold time that are tried to find poses held too briefly."""
 MANY_MORE = 2
-"""Times as many poses that have to be there then."""
+"""Least factor by which a shorter hold time must increase the number of poses."""
 
 
 def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:
@@ -66,7 +66,7 @@ def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:
     Raises
     ------
     InvalidInputError
-        If that is no positive number.
+        If `seconds` is not a positive number.
     """
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InvalidInputError(f"a pose is held for a positive number of seconds, not {seconds}")
@@ -75,7 +75,7 @@ def held_for(limits: StillnessLimits, seconds: float) -> StillnessLimits:
 
 
 def too_short(held: Sequence[float], needed: float, asked: float) -> str:
-    """The end of a refusal: poses were `held` for so long, s, and what to do; `asked` would take them."""
+    """End of a refusal: hold times `held` of the poses, s, and the remedy; a limit of `asked` would accept them."""
     return (
         f"; {len(held)} poses were held for {np.median(held):.2g} s each, and {needed:g} s are needed: hold them for "
         f"longer, or take the short ones with --min-still {asked:g}"

@@ -1,12 +1,10 @@
 """Still spans of a recording, with the sensors' means.
 
-Every quarter of a window one window of each sensor is judged: its scatter about a straight line, the turn of gravity
-across it, its mean rate. Consecutive still windows make a span as long as their means stay together; half a window
-is taken off wherever motion borders on it (METHODS 3.3). Time is the samples' own, and a span does not depend on how
-the samples were cut into chunks.
-
-A turn about the vertical at a steady rate leaves the accelerometer untouched and the gyroscope constant, so it passes
-for still here; :func:`calib.gyro.steady_turn` tells it from a bias.
+Windows begin every quarter of their length. For each, the scatter about a straight line, the turn of gravity across it
+and the mean rate are judged. Consecutive still windows make a span as long as their means stay together; half a window
+is taken off wherever motion borders on it (METHODS 3.3). Time is that of the samples, and a span does not depend on
+their division into chunks. A steady turn about the vertical keeps accelerometer and gyroscope constant, so it counts as
+still here; :func:`calib.gyro.steady_turn` distinguishes it from a bias.
 """
 
 from __future__ import annotations
@@ -45,11 +43,11 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class PoseMean:
-    """What one accelerometer read in one still span.
+    """Mean reading of one accelerometer in one still span.
 
     `mean` (3,) is freed of quantisation bias and of the shrink by tremor, `covariance` (3, 3) is that of the mean.
-    `temperature` in degC and `rate` (3,) in rad/s are None where nothing measured them. `estimate` tells the variance
-    along any direction: a hand's sway across gravity must not count as noise along it. None: `covariance` does.
+    `temperature` in degC and `rate` (3,) in rad/s are None where nothing measured them. `estimate` gives the variance
+    along any direction, since hand sway across gravity must not count as noise along it. None: `covariance` is used.
     """
 
     start: float
@@ -63,14 +61,14 @@ class PoseMean:
 
 
 BLOCK = 1 << 13
-"""Windows that are judged at once; more would need memory without being faster."""
+"""Windows judged at once; more would need memory without being faster."""
 PIECE = 1 << 14
 """Samples of a recording that are judged at once."""
 FAR_S = 1e6
-"""So far from the first sample the sums over a window are made about its own time, for the sake of their digits."""
+"""Time from the first sample, s, beyond which sums over a window use its own time as origin, to keep precision."""
 YEAR_S = 365.25 * 86400.0
 LONGEST_S = 100.0 * YEAR_S
-"""No recording lasts longer."""
+"""Longest recording, s."""
 
 
 class StillnessDetector:
@@ -79,7 +77,7 @@ class StillnessDetector:
     Parameters
     ----------
     limits
-        What counts as still.
+        Limits of stillness.
     accel, gyro : bool
         Which sensors are fed; a window is judged when all of them have passed its end.
 
@@ -146,7 +144,7 @@ class StillnessDetector:
         return tuple(ended)
 
     def _windows(self, begin: int, end: int) -> tuple[Still, ...]:
-        """Judge the windows of these numbers, from the samples in and next to them alone."""
+        """Still windows among those numbered `begin` to `end`, judged from the samples in and next to them."""
         assert self._origin is not None
         starts = np.asarray(self._origin + np.arange(begin, end) * self._hop, dtype=np.float64)
         statistics = {}
@@ -159,7 +157,7 @@ class StillnessDetector:
         return self._judge(starts, statistics)
 
     def _occupied(self, number: int, ready: int) -> int:
-        """The window from which on there are samples again: in a hole of years not every window is looked at.
+        """The next window with samples, so that not every window of a hole of years is judged.
 
         It begins with an empty one, which ends the span before the hole.
         """
@@ -227,8 +225,8 @@ class StillnessDetector:
 def find_still(recording: Recording, *, instance: int = 0, limits: StillnessLimits = HELD) -> tuple[Still, ...]:
     """Every still span of `recording`, judged by the accelerometer and the gyroscope of `instance`.
 
-    One of the two is enough. Sensors in counts are judged by their own quietest tenth of windows: a gyroscope about its
-    usual reading, an accelerometer about the centre of its poses, which makes gravity known.
+    One of the two is enough. Sensors in counts are judged by their quietest tenth of windows. A gyroscope is judged
+    about its median reading, an accelerometer about the centre of its poses, which determines gravity.
 
     Raises
     ------
@@ -269,9 +267,9 @@ def pose_means(
 ) -> tuple[PoseMean, ...]:
     """Mean of `accel` in every span of `stills` that holds at least eight of its samples.
 
-    With `gyro` (rad/s) the mean is freed of the shrink by tremor: where gravity swings by small angles ``theta`` of
-    covariance ``S``, ``E a = (1 - (tr S - S)/2) a``. The bias of the rate is each span's own, for it moves with the
-    temperature: the attitude drifts as much as the accelerometer shows.
+    With `gyro` (rad/s) the mean is corrected for tremor, which shortens it. If gravity swings by small angles ``theta``
+    of covariance ``S``, then ``E a = (1 - (tr S - S)/2) a``. The rate bias is separate for each span, since it changes
+    with temperature: the attitude drift is taken from the accelerometer.
     """
     poses = []
     for still in stills:
@@ -359,7 +357,7 @@ def _reasons(limits: StillnessLimits, accel: Windows | None, gyro: Windows | Non
 
 
 def _limits_of_counts(limits: StillnessLimits, gyro: Channel) -> tuple[StillnessLimits, Channel]:
-    """Limits for a gyroscope of unknown scale: six times its floor, about its usual reading."""
+    """Limits for a gyroscope of unknown scale: six times its noise floor, about its median reading."""
     floor, means = _quiet_windows(limits, gyro)
     if not len(means):
         return limits, gyro
@@ -369,7 +367,7 @@ def _limits_of_counts(limits: StillnessLimits, gyro: Channel) -> tuple[Stillness
 
 
 def _centred_counts(limits: StillnessLimits, accel: Channel) -> Channel:
-    """An accelerometer of unknown scale about the centre of its quiet readings; as it is where they are all alike."""
+    """Accelerometer of unknown scale, relative to the centre of its quiet readings; unchanged if they are alike."""
     _, means = _quiet_windows(limits, accel)
     if len(means) < 8:
         return accel
@@ -379,7 +377,7 @@ def _centred_counts(limits: StillnessLimits, accel: Channel) -> Channel:
 
 
 def _quiet_windows(limits: StillnessLimits, channel: Channel) -> tuple[float, Array]:
-    """Scatter of the quietest tenth of windows, and the means (M, 3) of all that are hardly noisier."""
+    """Scatter of the quietest tenth of windows, and the means (M, 3) of all windows hardly noisier."""
     starts = np.arange(channel.t[0], channel.t[-1] - limits.window, limits.window / 4)
     windows = window_statistics(channel.t, channel.values, channel.t[0], starts, limits.window)
     usable = windows.n >= _LEAST_SAMPLES
@@ -399,7 +397,7 @@ def _rate(gyro: Channel | None, still: Still) -> Array | None:
 
 
 def _turning(accel: Channel) -> Array:
-    """Rate (3,) with which gravity turns in a span, by least squares, rad/s; zero for counts: their centre is unknown.
+    """Rate (3,) of the turn of gravity in a span, by least squares, rad/s; zero for counts, whose centre is unknown.
 
     In the body ``df/dt = -w x f``. Hence ``w = -(f x df/dt)/|f|^2``, without the part about gravity, which does not
     shorten the mean of f.
@@ -416,7 +414,7 @@ def _turning(accel: Channel) -> Array:
 
 
 def _swing(gyro: Channel, still: Still, turning: Array) -> Array:
-    """Covariance (3, 3) in rad^2 of the attitude in a still span: the integrated rate about the slope `turning`."""
+    """Covariance (3, 3), rad^2, of the attitude in a still span: the integrated rate minus the slope `turning`."""
     part = gyro.between(still.start, still.end)
     part = part.take(finite_rows(part.values))
     steps = 0.5 * (part.values[1:] + part.values[:-1]) * np.diff(part.t)[:, None]

@@ -13,7 +13,7 @@ _SPIKE = 4.0  # times the scatter of its neighbours
 
 
 class Windows(NamedTuple):
-    """Statistics of a sensor over M windows; n is 0 where a quarter of the window or more at an end has no sample."""
+    """Statistics of a sensor over M windows; n is 0 if a quarter of the window or more has no sample at either end."""
 
     n: NDArray[np.intp]
     mean: Array  # (M, 3)
@@ -24,8 +24,8 @@ class Windows(NamedTuple):
 def window_statistics(t: Array, x: Array, origin: float, starts: Array, length: float) -> Windows:
     """Mean and straight line of the samples ``start <= t < start + length`` of every window.
 
-    Every window is summed by itself, so the numbers do not depend on what else is in `t` (N,) and `x` (N, 3).
-    `origin` is a time near the samples. A window without samples has n = 0 and zeros.
+    Every window is summed separately, so its numbers do not depend on the rest of `t` (N,) and `x` (N, 3). `origin` is
+    a time near the samples. A window without samples has n = 0 and zeros.
     """
     i, j = np.searchsorted(t, starts), np.searchsorted(t, starts + length)
     covered = (t[np.minimum(i, len(t) - 1)] <= starts + length / 4) & (
@@ -62,10 +62,10 @@ def row_of(windows: Windows | None, k: int) -> Windows | None:
 
 
 def without_spikes(values: Array) -> NDArray[np.bool_]:
-    """Mask (N,) of `values` (N, k): False at a lone spike, far off both neighbours, which agree.
+    """Mask (N,) of `values` (N, k): False at a lone spike, far from both neighbours, which agree.
 
-    Far means four times what the samples around change by and thirty times the usual change; a movement lasts longer
-    than one sample. Two rounds, so that spikes do not hide each other.
+    Far means four times the changes around it and thirty times the usual change; a movement lasts longer than one
+    sample. Two rounds prevent spikes from hiding each other.
     """
     keep = np.ones(len(values), dtype=np.bool_)
     for _ in range(2):

@@ -8,10 +8,9 @@ between poses
     is the maximum likelihood.
 within a pose
     Gravity stands still while the temperature moves, so the drift of all three axes shows by itself, whatever the
-    direction is: least squares with one constant a pose. It counts where a pose saw a change of temperature.
-
-Where each face is visited once while it warms up, direction and temperature are one; a second round in the opposite
-order parts them.
+    direction is: least squares with one constant a pose. It needs poses with a change of temperature. If each face is
+    visited once during the warm-up, direction and temperature are confounded; a second round in the opposite order
+    separates them.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ def fit_accel_thermal(
     accel, temperature
         Samples and thermometer, any rates.
     stills
-        Spans in which it lay or was held still, in any direction.
+        Spans in which the sensor was still, in any direction.
     degree : int
         Of the drift, 1 to 3; a truth of degree 2 fitted by 1 costs 1.4 times the bound.
     gravity : float
@@ -82,16 +81,16 @@ def fit_accel_thermal(
     cross_sd : float or None
         Prior standard deviation of the cross terms of the symmetric matrix; None: no prior.
     gyro : Channel or None
-        Frees the means of the shrink by a hand's tremor.
+        Corrects the means for the shrinkage by hand tremor.
     relative : bool
         The calibration in force was not known.
 
     Returns
     -------
     FitResult
-        Offset at `t_ref`, symmetric matrix, drift about `t_ref`. What the poses do not determine is named with the
-        face to show and the temperature to show it at. ``quality["confounding"]`` is how many times worse the drift is
-        known than if every face had been held at every temperature: more than 4 asks for a round in opposite order.
+        Offset at `t_ref`, symmetric matrix, drift about `t_ref`. What the poses do not determine is named with the face
+        to show and the temperature to show it at. ``quality["confounding"]`` is the ratio of the drift's sd to that
+        with every face at every temperature; above 4 a round in the opposite order is advised.
     """
     if not 1 <= degree <= 3:
         raise InvalidInputError(f"the degree of the drift is 1 to 3, not {degree}")
@@ -137,9 +136,9 @@ def _solved(
     gravity: float,
     cross_sd: float | None,
 ) -> AccelThermalSolution | str:
-    """The solution in two rounds: the second one's means are freed of the drift within each pose; or why there is none.
+    """Solution in two rounds, or why there is none; the second round corrects means for drift within each pose.
 
-    The mean of a pose then stands for its mean powers of the temperature, and its scatter is noise alone.
+    The mean of a pose then belongs to its mean powers of the temperature, and its scatter is only noise.
     """
     within = within_poses(accel, x, stills, degree)
     level = accel
@@ -159,7 +158,7 @@ def _solved(
 
 
 def _levelled(accel: Channel, x: Array, stills: Sequence[Still], drift: Array) -> Channel:
-    """The samples without the drift inside of each still span, about the span's own mean."""
+    """The samples without the drift within each still span, relative to its mean."""
     values = accel.values.copy()
     for still in stills:
         i, j = np.searchsorted(accel.t, (still.start, still.end))
@@ -299,8 +298,8 @@ def _model(
 def _with_cross_scatter(problem: WarmProblem, solution: WarmSolution, crosses: list[int], cross_sd: float) -> Array:
     """Covariance with the scatter that cross terms of prior sd `cross_sd` leave in the others, held at zero.
 
-    With ``r = J1 x1 + J2 x2``, fitting x1 alone errs by ``-F11^-1 F12 x2``; ``|C d|`` also lengthens by c^2/2 for each
-    cross term c of an axis.
+    With ``r = J1 x1 + J2 x2``, fitting x1 alone errs by ``-F11^-1 F12 x2``. In addition, ``|C d|`` lengthens by c^2/2
+    for each cross term c of an axis.
     """
     rest = [i for i in range(len(solution.parameters)) if i not in crosses]
     H = solution.covariance[np.ix_(rest, rest)] @ solution.information[np.ix_(rest, crosses)]
@@ -330,7 +329,7 @@ def _open(unknown: Sequence[int], degree: int, remedy: str) -> dict[str, str]:
 
 
 def _attitude_sd(model: TriadModel, covariance: Array, gravity: float, span: tuple[float, float]) -> float:
-    """Tilt that the covariance leaves level, degrees, at the worst temperature of the span."""
+    """Standard deviation of the level, degrees, at the worst temperature of the span."""
     assert model.polynomial is not None
     degree = model.polynomial.coefficients.shape[1]
     worst = 0.0

@@ -1,7 +1,7 @@
 """The solver of :mod:`calib.thermal.accel`: gravity's length between poses, and the drift within them.
 
-Everything here is in units of the poses' own radius and in powers of a scaled temperature; the parameters are the
-offset (3), the six entries of the symmetric matrix, and the drift power by power (degree x 3).
+Everything here is in units of the poses' radius and in powers of a scaled temperature. The parameters are the offset
+(3), the six entries of the symmetric matrix, and the drift power by power (degree x 3).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class WarmSolution:
 
 @dataclass(frozen=True, eq=False)
 class AccelThermalSolution:
-    """The solution, that under a weak prior, and the indices of the parameters that this one leaves open."""
+    """The solution, that under a weak prior, and the indices of the parameters that are then undetermined."""
 
     warm: tuple[WarmPose, ...]
     problem: WarmProblem
@@ -89,8 +89,8 @@ class AccelThermalSolution:
 def within_poses(accel: Channel, x: Array, stills: Sequence[Still], degree: int) -> WithinPoses:
     """Least squares of the drift with one constant a pose, by the noise that is left in the residuals.
 
-    Serial correlation widens it; poses through which the temperature hardly moved are left out: a hand's sway would be
-    all that they show.
+    Serial correlation widens it. Poses with hardly any change of temperature are left out: they would only show hand
+    sway.
     """
     rows_x, rows_y, count = [], [], 0
     spread = float(np.ptp(x)) or 1.0
@@ -151,7 +151,7 @@ def solve_poses(
 
 
 def _unlearnt(sd: Array, cross_sd: float | None) -> tuple[int, ...]:
-    """Cross terms on which the poses say less than half of what the prior does."""
+    """Cross terms with less than half as much information from the poses as from the prior."""
     if cross_sd == 0.0:
         return (6, 7, 8)
     limit = UNDETERMINED if cross_sd is None else 0.5 * cross_sd
@@ -183,7 +183,7 @@ def _linearised(problem: WarmProblem, x: Array) -> tuple[Array, Array, Array, Ar
 def _solve(problem: WarmProblem, *, weak: bool, held: Sequence[int] = ()) -> WarmSolution | None:
     """Gauss and Newton from a sensor without error; None if it does not converge.
 
-    `weak` adds a prior of one radius, so that what the poses do not determine shows as a large variance.
+    `weak` adds a prior of one radius, so that undetermined parameters get a large variance.
     """
     prior, start = problem.prior.copy(), problem.start
     if weak:
@@ -214,7 +214,7 @@ def _solve(problem: WarmProblem, *, weak: bool, held: Sequence[int] = ()) -> War
 
 
 def within_information(problem: WarmProblem) -> tuple[Array, Array]:
-    """Information (n, n) of the drift within poses, and the parameters that it points at."""
+    """Information (n, n) of the drift within poses, and the corresponding parameters."""
     size = len(problem.start)
     information, target = np.zeros((size, size)), problem.start.copy()
     for axis in range(3):
@@ -225,7 +225,7 @@ def within_information(problem: WarmProblem) -> tuple[Array, Array]:
 
 
 def _weighted_along(problem: WarmProblem, warm: Sequence[WarmPose], solution: WarmSolution) -> WarmProblem:
-    """The same problem with each pose's variance taken along its own normal, where a hand's sway is not."""
+    """The problem with each pose's variance along its own normal, which excludes hand sway."""
     covariances = problem.covariances.copy()
     for k, w in enumerate(warm):
         if w.pose.estimate is not None:
@@ -235,7 +235,7 @@ def _weighted_along(problem: WarmProblem, warm: Sequence[WarmPose], solution: Wa
 
 
 def confounding(problem: WarmProblem, solution: WarmSolution) -> float:
-    """How many times worse a drift term is known than if every direction had been seen at every temperature."""
+    """Largest ratio of a drift term's sd to that with every direction at every temperature."""
     J, _, _, _ = _linearised(problem, solution.parameters)
     K = len(J)
     rest = solution.information - J.T @ J  # priors, and the drift within poses
@@ -254,7 +254,7 @@ def _drift_columns(problem: WarmProblem, J: Array) -> Array:
 def scale_drift(problem: WarmProblem, solution: WarmSolution) -> tuple[Array, Array]:
     """Change of each axis' scale by a scaled temperature of one, and its covariance (3, 3): one step from `solution`.
 
-    ``M (1 + x S) g``, S diagonal: no autopilot stores it, so it is a test and no part of the model.
+    ``M (1 + x S) g``, S diagonal: no autopilot stores it, so it is only a test, not part of the model.
     """
     J, r, _, _ = _linearised(problem, solution.parameters)
     d = problem.means - solution.parameters[:3] - problem.powers @ solution.parameters[9:].reshape(problem.degree, 3)

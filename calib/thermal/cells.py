@@ -1,8 +1,8 @@
 """Samples of one sensor averaged over cells of time, in bounded memory.
 
-A cell holds the number of its samples, their mean time, mean and scatter; where the bins are coarse against the noise,
-how many samples lay in which bin. When the cells are too many, neighbours are joined. A drift with temperature is a
-straight line through a cell, so nothing that a fit needs is lost.
+A cell holds the number of its samples, their mean time, mean and scatter. If bins are coarse relative to the noise, it
+also holds the number of samples in each bin. When there are too many cells, neighbours are joined. A thermal drift is
+linear within a cell, so a fit loses nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mavcal.calib.stats.quantisation import COARSE, half_widths
 from mavcal.calib.thermal.drift import DriftData, TemperatureBins
 
 CELLS = 2048
-"""Cells that are kept, up to twice as many between two joins: ticks of 0.25 s for 17 minutes, then twice that."""
+"""Cells that are kept, up to twice as many between two joins: ticks of 0.25 s for 17 minutes, then of 0.5 s."""
 
 _PENDING = 256  # pieces of bins that wait before they are put together
 _FINE = 1.5  # times COARSE: noise above it needs no bins
@@ -58,18 +58,18 @@ class DriftCells:
         self._bins: list[list[Array] | None] = [[] for _ in range(columns)]
         self._quantum = 0.0
         self.channel: Channel | None = None
-        """An empty channel with what is said of all samples; None before the first."""
+        """Empty channel with the metadata of all samples; None before the first."""
 
     def __len__(self) -> int:
         return self._used
 
     def add(self, part: Channel, span: int = 0) -> None:
-        """One more cell of the samples of `part`; cells of different `span` are never joined.
+        """Add the samples of `part` as one cell; cells of different `span` are never joined.
 
         Raises
         ------
         InvalidInputError
-            If the number of columns is another one.
+            If the number of columns differs.
         """
         values = part.values
         if values.shape[1] != self._k:
@@ -100,7 +100,7 @@ class DriftCells:
         return CellTable(rows[:, 0], rows[:, 1], rows[:, 2].astype(np.intp), rows[:, 3 : 3 + k], rows[:, 3 + k :])
 
     def bins(self) -> tuple[TemperatureBins | None, ...]:
-        """For every column, the number of samples of each cell in each bin; None where they do not count."""
+        """For every column, the number of samples of each cell in each bin; None where bins are fine."""
         found: list[TemperatureBins | None] = []
         for column in range(self._k):
             self._gather(column)
@@ -159,7 +159,7 @@ class DriftCells:
         self._bins[column] = [np.column_stack([whole[first, :3], counts])]
 
     def _is_fine(self, column: int) -> bool:
-        """Whether the noise is far above the bins and the wide one around zero far away."""
+        """Whether the noise is far above the bin width and the values are far from the wide bin around zero."""
         rows = self._rows[: self._used]
         freedom = float((rows[:, 1] - 1.0).sum())
         sd = np.sqrt(float(rows[:, 3 + self._k + column].sum()) / max(freedom, 1.0))
@@ -169,7 +169,7 @@ class DriftCells:
     # -- joining -----------------------------------------------------------------------------------------------------
 
     def _join(self) -> None:
-        """Join neighbours of one span, all cells alike; where spans are too many for that, make room."""
+        """Join neighbouring cells of the same span; if too many are left, double the limit."""
         rows = self._rows[: self._used]
         starts = np.append(True, np.diff(rows[:, 2]) != 0)
         since = np.arange(self._used) - np.maximum.accumulate(np.where(starts, np.arange(self._used), 0))
@@ -185,7 +185,7 @@ class DriftCells:
 
 
 def _joined(rows: Array, number: NDArray[np.intp], k: int) -> Array:
-    """Cells that have the same `number` made one."""
+    """Merge the cells with the same `number`."""
     first = np.flatnonzero(np.append(True, np.diff(number) > 0))
     count = np.add.reduceat(rows[:, 1], first)
     means = np.add.reduceat(rows[:, 1, None] * rows[:, [0, *range(3, 3 + k)]], first, axis=0) / count[:, None]

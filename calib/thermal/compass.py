@@ -1,7 +1,8 @@
 """Drift of a compass with temperature per axis and pose, and its repeatability.
 
-A motionless compass reads ``b + k_b (T - t_ref) + (1 + k_m (T - t_ref)) M field``: a drift of its offset is the same in
-every pose, one of its sensitivity goes with the field along the axis. One pose cannot tell the two apart, several can.
+A motionless compass reads ``b + k_b (T - t_ref) + (1 + k_m (T - t_ref)) M field``. A drift of its offset is the same in
+every pose; one of its sensitivity is proportional to the field along the axis. Several poses are needed to tell them
+apart.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ def fit_mag_thermal(
     Returns
     -------
     FitResult
-        Slopes in ``model.polynomial`` of the axes that repeat in every pose; the others are undetermined, and so is
-        every axis of a single pose. ``native["poses"]`` has the slopes of each. Refused where no pose warms up enough.
+        Slopes in ``model.polynomial`` for the axes with equal slopes in every pose. The others are undetermined, and
+        with a single pose all are. ``native["poses"]`` has the slopes of each. Refused where no pose warms up enough.
     """
     made = FitBuilder.of(METHOD, poses[0][0], relative=relative, temperature=t_ref, movement=_WARM)
     made = dataclasses.replace(made, n_samples=sum(len(channel) for channel, _ in poses))
@@ -98,7 +99,7 @@ def _pose(data: DriftData, t_ref: float) -> _Pose:
 
 
 def _pooled(found: Sequence[_Pose]) -> tuple[Array, Array]:
-    """Mean slope (3,) by the poses' precision; its sd has what they differ by."""
+    """Mean slope (3,) weighted by the poses' precision; its sd includes their differences."""
     weights = np.array([1.0 / np.maximum(pose.sd, 1e-12) ** 2 for pose in found])
     slopes = np.array([pose.slopes for pose in found])
     mean = (weights * slopes).sum(axis=0) / weights.sum(axis=0)
@@ -107,7 +108,7 @@ def _pooled(found: Sequence[_Pose]) -> tuple[Array, Array]:
 
 
 def _repeats(found: Sequence[_Pose]) -> NDArray[np.bool_]:
-    """Mask (3,) of the axes whose slope is the same in every pose, and more than chance."""
+    """Mask (3,) of the axes with a significant slope that is equal in every pose."""
     if len(found) < 2:
         return np.zeros(3, dtype=np.bool_)
     mean, sd = _pooled(found)
@@ -164,13 +165,13 @@ def _warnings(found: Sequence[_Pose], repeats: NDArray[np.bool_], unit: str) -> 
 
 
 def _differ(found: Sequence[_Pose], axis: int) -> bool:
-    """Whether the slopes of the poses differ by more than chance."""
+    """Whether the slopes of the poses differ significantly."""
     mean = float(_pooled(found)[0][axis])
     return any(abs(float(pose.slopes[axis]) - mean) > _SURE * float(pose.sd[axis]) for pose in found)
 
 
 def _goes_with_field(found: Sequence[_Pose], axis: int) -> bool:
-    """Whether slope over field is one number in every pose, and more than chance."""
+    """Whether slope over field is equal in every pose, and significant."""
     field = np.array([pose.field[axis] for pose in found])
     slopes = np.array([pose.slopes[axis] for pose in found])
     sd = np.maximum(np.array([pose.sd[axis] for pose in found]), 1e-12)

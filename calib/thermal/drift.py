@@ -43,7 +43,7 @@ class TemperatureBins:
 
 @dataclass(frozen=True, eq=False)
 class DriftData:
-    """The finite samples, or means of many of them, and what can be said of them before any fit."""
+    """The finite samples, or means of many of them, with checks before a fit."""
 
     time: Array
     t: Array  # degC
@@ -54,13 +54,13 @@ class DriftData:
     unsorted: int = 0
     spiked: int = 0
     counts: Array | None = None
-    """Samples (N,) that each row is the mean of; None: one."""
+    """Number of samples (N,) averaged in each row; None: one."""
     scatter: Array | None = None
-    """Sums (3,) of the squares of the samples about their rows; None: zero."""
+    """Sums (3,) of squared deviations of the samples from their rows; None: zero."""
     cell_bins: tuple[TemperatureBins | None, ...] | None = None
     """Per axis, where the rows are means of quantised samples."""
     limits: tuple[float, float] | None = None
-    """Lowest and highest temperature, where the rows are means that do not reach them, degC; None: those of `t`."""
+    """Lowest and highest temperature, degC, if the rows are means; None: those of `t`."""
 
     @classmethod
     def of(cls, channel: Channel, temperature: Array) -> DriftData:
@@ -88,7 +88,7 @@ class DriftData:
         return data if spikes is None else dataclasses.replace(data.rows(~spikes), spiked=int(spikes.sum()))
 
     def rows(self, keep: NDArray[np.bool_]) -> DriftData:
-        """Only the rows to `keep`; of means, the scatter is taken as spread evenly."""
+        """Only the rows to `keep`; the scatter of means is assumed to be evenly distributed."""
         half = None if self.half is None else self.half[keep]
         counts = None if self.counts is None else self.counts[keep]
         scatter = self.scatter
@@ -112,7 +112,7 @@ class DriftData:
         return dataclasses.replace(self, t=temperature, limits=None)
 
     def lowered(self, shift: Array) -> DriftData:
-        """The same with `shift` (N, 3) taken away from every row."""
+        """The data minus `shift` (N, 3)."""
         if self.cell_bins is None:
             return dataclasses.replace(self, y=self.y - shift)
         bins = tuple(
@@ -123,11 +123,11 @@ class DriftData:
 
     @property
     def quantised(self) -> bool:
-        """Whether the samples came in bins."""
+        """Whether the samples are quantised."""
         return self.half is not None or self.cell_bins is not None
 
     def bins(self, axis: int) -> TemperatureBins | None:
-        """The bins of one axis; None where they do not matter."""
+        """The bins of one axis; None where they are fine."""
         if self.cell_bins is not None:
             return self.cell_bins[axis]
         if self.half is None:
@@ -196,7 +196,7 @@ def _kept(bins: TemperatureBins | None, keep: NDArray[np.bool_]) -> TemperatureB
 
 
 def _spiked(data: DriftData, reach: Array) -> NDArray[np.bool_] | None:
-    """Rows that lie far from their neighbours in time, where the extremes give reason to look; None: there is none."""
+    """Mask of rows far from their neighbours in time; None if the extremes show no reason to search."""
     if data.n < _SPIKES_AMONG:
         return None
     sample = np.sort(data.y[:: 1 + data.n // 2000], axis=0)
@@ -210,7 +210,7 @@ def _spiked(data: DriftData, reach: Array) -> NDArray[np.bool_] | None:
 
 @dataclass(frozen=True, eq=False)
 class DriftBlocks:
-    """Sums over consecutive blocks of time of k series on p powers, from which everything else follows."""
+    """Sums over consecutive blocks of time of k series on p powers: the sufficient statistics of a fit."""
 
     design: Array  # (B, p) means
     series: Array  # (B, k) means
@@ -290,7 +290,7 @@ class DriftBlocks:
 
 
 def _about_origin(gram: Array, sums: Array, counts: Array, p: int, shift: Array) -> tuple[Array, Array]:
-    """The sums of series that are `shift` (k,) less."""
+    """The sums after subtracting `shift` (k,) from the series."""
     gram, sums = gram.copy(), sums.copy()
     design = sums[:, :p].sum(axis=0)
     total, n = sums[:, p:].sum(axis=0), counts.sum()
@@ -309,7 +309,7 @@ def _least_squares(gram: Array, p: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class DriftCurve:
-    """The polynomials about t_ref with their covariances, and how far they move over the span."""
+    """The polynomials about t_ref with their covariances, and their range over the span."""
 
     coefficients: Array  # (p, 3) about t_ref, degC, constant first
     covariances: Array  # (3, p, p)
@@ -320,7 +320,7 @@ class DriftCurve:
     def of(
         cls, coefficients: Array, noise: ColouredCovariance, middle: float, half_span: float, t_ref: float
     ) -> DriftCurve:
-        """From powers of ``(T - middle)/half_span`` to powers of ``T - t_ref``."""
+        """Curve in powers of ``T - t_ref``, from coefficients of powers of ``(T - middle)/half_span``."""
         p = len(coefficients)
         grid = np.linspace(-1.0, 1.0, 33)[:, None] ** np.arange(p)
         centred = grid - grid.mean(axis=0)
@@ -334,7 +334,7 @@ class DriftCurve:
         return dataclasses.replace(self, covariances=self.covariances + np.einsum("pk,qk->kpq", change, change))
 
     def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:
-        """Axes whose drift is within their own slow wander."""
+        """Mask of axes whose drift does not exceed their slow wander."""
         coloured = (noise.whiteness < 0.05) & (noise.excess > 9.0)
         return np.asarray(coloured & (self.drift < 2.0 * _NOT_REPEATABLE * self.drift_sd), dtype=np.bool_)
 
@@ -371,12 +371,12 @@ def powers_about(t_ref: float, middle: float, half_span: float, p: int) -> Array
 
 
 def _block_count(n: int, least: int) -> int:
-    """Blocks of `least` rows or more, where there are enough for half of them."""
+    """Number of blocks for `n` rows: of `least` rows or more, unless that leaves less than half of the usual number."""
     return n if n <= _BLOCKS // 2 else int(np.clip(n // least, _BLOCKS // 2, _BLOCKS))
 
 
 def repeated_rows(data: DriftData) -> NDArray[np.bool_]:
-    """Rows of a small table that are an earlier stretch of it pasted again."""
+    """Mask of rows of a small table that repeat an earlier part of it."""
     repeated = np.zeros(data.n, dtype=np.bool_)
     if data.n > 2000:
         return repeated

@@ -1,8 +1,8 @@
-"""Drift with temperature: a straight line (S2) and a polynomial, with errors that hold under coloured noise.
+"""Drift with temperature: a straight line (S2) and a polynomial, with errors valid under coloured noise.
 
-A still sensor is regressed on its own temperature in a scaled variable, by normal equations summed over blocks of time
-(conditioning and speed: METHODS S2). A slow wander of the sensor looks like drift; how much of it there is follows
-from the residuals (:func:`calib.stats.correlated.coloured_regression`), so that the sd stays true.
+A still sensor is regressed on its own temperature in a scaled variable. The normal equations are summed over blocks of
+time (conditioning and speed: METHODS S2). A slow wander of the sensor looks like drift; its size follows from the
+residuals (:func:`calib.stats.correlated.coloured_regression`) and is part of the sd.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class PolynomialOptions:
     min_span: float = 10.0
     """Least range of temperature, degC."""
     lag: bool = True
-    """Fit against the temperature of the die where it is seen to lag its thermometer."""
+    """Fit against the die temperature if the data show that it lags the thermometer."""
 
 
 def fit_linear(
@@ -88,8 +88,7 @@ def fit_linear(
     t_ref : float
         Temperature at which nothing is corrected; 0 is the published form.
     through : shape (3,) or None
-        Values that the lines must take at `t_ref`: the slope through a fixed point, another estimator. None: least
-        squares with an intercept.
+        Fixed values of the lines at `t_ref`, which is a different estimator. None: least squares with an intercept.
     min_span : float
         Least range of temperature, degC.
     relative : bool
@@ -98,8 +97,8 @@ def fit_linear(
     Returns
     -------
     FitResult
-        Slopes in ``model.polynomial``, with an sd that holds under slow wander of the sensor. Offsets are not part of
-        this method and are named as undetermined; an axis that reads one constant value is named, not estimated.
+        Slopes in ``model.polynomial``, with an sd that includes slow wander of the sensor. Offsets are not part of this
+        method and are named as undetermined; an axis that reads one constant value is named, not estimated.
     """
     data = DriftData.of(channel, temperature)
     made = FitBuilder.of(LINEAR_METHOD, channel, relative=relative, temperature=t_ref, movement=_COLDER)
@@ -174,7 +173,7 @@ def _weak(estimated: NDArray[np.bool_], slopes: Array, variance: Array) -> NDArr
 
 
 def _rms(residual: Array, estimated: NDArray[np.bool_]) -> float:
-    """Over the axes that are estimated; 0 where none is."""
+    """Rms residual over the estimated axes; 0 without any."""
     return float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0
 
 
@@ -203,7 +202,7 @@ def fit_polynomial(
     min_span : float
         Least range of temperature, degC; less is refused by name.
     lag : bool
-        Where warming and cooling show that the die lags its thermometer: fit against the die's temperature.
+        Fit against the die's temperature if warming and cooling show that it lags the thermometer.
     relative : bool
         The calibration in force was not known.
 
@@ -213,9 +212,9 @@ def fit_polynomial(
         The offset is that at `t_ref` for a gyroscope; for an accelerometer in one pose it is undetermined (gravity and
         tilt are inside it) and only the shape counts. ``quality["drift"]`` is each axis' range over the span and
         ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis is named and left at zero in three
-        cases: its wander does not repeat with temperature, its value is constant, or it was seen on too few levels.
-        Where the temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep
-        by the others; ``quality["hysteresis"]`` is warming less cooling.
+        cases: its change does not repeat with temperature, its value is constant, or it has too few quantisation
+        levels. Where the temperature went through its span more than once, ``quality["cross_validation"]`` judges every
+        sweep by the others; ``quality["hysteresis"]`` is warming less cooling.
     """
     data = DriftData.of(channel, temperature)
     return fit_drift_data(
@@ -231,7 +230,7 @@ def fit_drift_data(
     *,
     relative: bool = False,
 ) -> FitResult:
-    """:func:`fit_polynomial` of samples that are already averaged in cells; `channel` may be without samples."""
+    """:func:`fit_polynomial` for samples already averaged in cells; `channel` may have no samples."""
     degree, t_ref = options.degree, options.t_ref
     if not 1 <= degree <= 5:
         raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
@@ -300,7 +299,7 @@ class _Scaled:
 
 
 def _lag_of(data: DriftData, degree: int) -> tuple[ThermometerLag | None, Die | None]:
-    """The lag of the die, and its temperature for any; None if nothing shows one."""
+    """The lag of the die, and its temperature as a function of the lag; None if there is no evidence of one."""
     scaled = _Scaled.of(data)
     blocks = data.blocks(scaled.x, degree)
     rate = rates(blocks, scaled.middle, scaled.half_span)
@@ -327,9 +326,9 @@ def _by_lag(curve: DriftCurve, data: DriftData, slower: _Scaled, degree: int, t_
 
 
 def _repeats(axes: _Axes) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
-    """Every sweep judged by the others, and which axes do repeat: a correction that makes things worse is none.
+    """Cross-validation of the sweeps, and the axes that repeat: a correction that makes predictions worse is rejected.
 
-    Noise alone may do so too; only what is left far above the white noise of the block means counts.
+    Noise alone may do so too, so only errors far above the white noise of the block means count.
     """
     found: DriftPrediction | None = cross_validated(axes.blocks)
     if found is None:
@@ -385,9 +384,8 @@ def _coarse_axis(
 ) -> tuple[DriftBlocks, float] | None:
     """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few edges are passed.
 
-    Between two edges the same number repeats, which tells next to nothing however often it does: the data are the
-    places at which the curve passes an edge. As many of them as coefficients fit exactly and leave no residual to judge
-    the fit by, so that one more is asked for.
+    Repeats of a value between two edges carry almost no information: the data are the places at which the curve crosses
+    an edge. As many crossings as coefficients fit exactly and leave no residual, so one more is required.
 
     The interval likelihood's estimate is least squares on ``expected + score/information``, with the information of
     each sample as its weight. The same sums therefore carry on from there.
@@ -419,14 +417,14 @@ def _coarse_axis(
 
 
 def _crossings(x: Array, bins: TemperatureBins, coefficients: Array, quantum: float) -> int:
-    """How many edges between the bins the curve passes on its way through the temperatures; there and back are two."""
+    """Number of bin edges that the curve crosses over the temperature range; there and back counts as two."""
     lower = np.unique(np.round((bins.values - bins.half) / (_GRAIN * quantum))) * _GRAIN * quantum
     curve = np.linspace(x.min(), x.max(), _STEPS)[:, None] ** np.arange(len(coefficients)) @ coefficients
     return int(np.abs(np.diff(np.searchsorted(lower[1:], curve))).sum())
 
 
 def _distinct(x: Array, bins: TemperatureBins, quantum: float) -> tuple[NDArray[np.intp], Array]:
-    """Rows that stand for all others with the same temperature and bin, and how many samples each stands for."""
+    """One row for each distinct temperature and bin, and the number of samples that it represents."""
     if len(x) <= _MANY:
         return np.arange(len(x)), bins.counts
     key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(bins.values / (1e-3 * quantum)).astype(np.int64)

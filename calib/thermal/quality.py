@@ -23,7 +23,7 @@ def fit_message(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str
 
 
 def common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Warnings of any fit of `data`: constant axes, and rows that do not count."""
+    """Warnings of any fit of `data`: constant axes, and ignored rows."""
     warnings = []
     constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
     if constant and not data.quantised:
@@ -58,7 +58,7 @@ def declined_warnings(declined: NDArray[np.bool_], too_coarse: NDArray[np.bool_]
 def two_way_warnings(
     lag: ThermometerLag | None, two_ways: tuple[Array, Array] | None, curve: DriftCurve, estimated: NDArray[np.bool_]
 ) -> list[str]:
-    """The lag, and what warming and cooling still differ by."""
+    """Warnings about the lag, and about the remaining difference of warming and cooling."""
     warnings = []
     if lag is not None:
         who = "the sensor lags its thermometer" if lag.seconds > 0.0 else "the thermometer lags the sensor"
@@ -99,7 +99,7 @@ def attitude_quality(channel: Channel, curve: DriftCurve, estimated: NDArray[np.
 
 
 def block_statistics(blocks: DriftBlocks, coefficients: Array, estimated: NDArray[np.bool_]) -> dict[str, Any]:
-    """Residuals of the block means against the scatter of single samples: a slow wander is what exceeds it."""
+    """Residuals of the block means against the scatter of single samples; slow wander is the excess."""
     size = np.abs(blocks.series).max(axis=0)
     sd = np.maximum(blocks.residual_sd(), 1e-9 * np.maximum(size, 1e-290))
     left = (blocks.series - blocks.design @ coefficients) * np.sqrt(blocks.counts)[:, None] / sd
@@ -109,7 +109,7 @@ def block_statistics(blocks: DriftBlocks, coefficients: Array, estimated: NDArra
 
 
 def noise_quality(data: DriftData, noise: ColouredCovariance, estimated: NDArray[np.bool_]) -> dict[str, Any]:
-    """The range, and how far the noise is from white."""
+    """Range of the drift, and deviation of the noise from white."""
     return {
         "span": data.span,
         "t_min": data.t_min,
@@ -120,5 +120,5 @@ def noise_quality(data: DriftData, noise: ColouredCovariance, estimated: NDArray
 
 
 def or_none(values: Array, known: NDArray[np.bool_]) -> list[float | None]:
-    """The numbers that are known, None for the others."""
+    """`values`, with None for unknown ones."""
     return [float(value) if ok else None for value, ok in zip(values, known, strict=True)]

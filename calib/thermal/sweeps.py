@@ -1,6 +1,6 @@
 """Repeatability of a drift: warming against cooling, cross-validated sweeps, thermometer lag.
 
-All from the block means of :class:`calib.thermal.drift.DriftBlocks`, with errors that know of a slow wander.
+All use the block means of :class:`calib.thermal.drift.DriftBlocks`, with errors that include slow wander.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Die:
 
     @classmethod
     def of(cls, time: Array, temperature: Array, blocks: DriftBlocks, rate: Array) -> Die:
-        """From single samples, whose own steps are too rough for a rate, and the `rate` (B,) of `blocks`."""
+        """Die temperature from single samples, with the `rate` (B,) of `blocks`, which is smoother than their steps."""
         grid = np.linspace(time[0], time[-1], _GRID)
         return cls(grid, np.interp(grid, time, temperature), np.interp(grid, blocks.time, rate))
 
@@ -75,7 +75,7 @@ class Die:
 class DriftPrediction:
     """How well a drift predicts a record that it was not fitted to; rms of block means about their own mean.
 
-    `explained` is the share of the variance that the correction takes away: negative where it makes things worse.
+    `explained` is the share of the variance that the correction removes; negative if it makes predictions worse.
     """
 
     before: Array  # (3,)
@@ -83,12 +83,12 @@ class DriftPrediction:
 
     @property
     def explained(self) -> Array:
-        """Per axis; at most 1."""
+        """Share of the variance removed, per axis; at most 1."""
         return np.asarray(1.0 - self.after**2 / np.maximum(self.before**2, 1e-300), dtype=np.float64)
 
 
 def rates(blocks: DriftBlocks, middle: float, half_span: float) -> Array:
-    """Rate of the temperature (B,) in degC/s at every block; zeros where the time does not tell."""
+    """Rate of the temperature (B,) in degC/s at every block; zeros if the times do not determine it."""
     if len(blocks.time) < 3 or not (np.diff(blocks.time) > 0).all():
         return np.zeros(len(blocks.time))
     temperature = middle + half_span * blocks.design[:, 1]
@@ -109,7 +109,7 @@ def thermal_lag(
     """The lag that makes warming and cooling agree; None if nothing shows it.
 
     Newton's method on ``y = P(T_die(lag))``: the column ``P' dT_die/dlag`` beside the powers. It needs warming and
-    cooling: in one direction the lag is a change of the curve. The axes share it, each with its own noise.
+    cooling: in one direction a lag looks like a different curve. The axes share it, each with its own noise.
     """
     if not both_ways(rates(blocks, middle, half_span)):
         return None
@@ -158,7 +158,7 @@ def _weighted(design: Array, series: Array, counts: Array) -> Array:
 
 
 def hysteresis(blocks: DriftBlocks, middle: float, half_span: float) -> tuple[Array, Array] | None:
-    """Warming less cooling at the same temperature, and its sd, per series; None where only one of them was seen."""
+    """Warming minus cooling at the same temperature, and its sd, per series; None without both."""
     rate = rates(blocks, middle, half_span)
     if not both_ways(rate):
         return None
@@ -171,7 +171,7 @@ def hysteresis(blocks: DriftBlocks, middle: float, half_span: float) -> tuple[Ar
 
 
 def sweeps(blocks: DriftBlocks) -> list[NDArray[np.intp]]:
-    """Blocks of every passage of the temperature, one way, through a good part of its whole span."""
+    """Blocks of every one-way passage of the temperature through a considerable part of its span."""
     x = blocks.design[:, 1]
     least = _SWEEP * float(np.ptp(x))
     turns = [0]
@@ -190,7 +190,7 @@ def sweeps(blocks: DriftBlocks) -> list[NDArray[np.intp]]:
 
 
 def cross_validated(blocks: DriftBlocks) -> DriftPrediction | None:
-    """Every sweep judged by the curve of all the others, over the temperatures that both saw; None: one sweep only."""
+    """Prediction of every sweep by the curve of all others, over their common temperatures; None: only one sweep."""
     p = blocks.design.shape[1]
     parts = sweeps(blocks)
     if len(parts) < 2 or min(len(part) for part in parts) < p + 2:

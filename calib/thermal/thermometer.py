@@ -1,8 +1,8 @@
 """Temperature at any instant, interpolated from a thermometer with repeated readings.
 
-Autopilots read a thermometer about once a second and send the last reading with every sample. A reading is true when
-it is taken and grows old from there. When it was taken must be told from the stream: a value that differs was just
-read; one that stands for many seconds was read again and again, the last time one period before it changed.
+Autopilots read a thermometer about once a second and send the last reading with every sample. A reading is valid at its
+time and then becomes stale. Its time must be inferred from the stream: a new value was just read. A value that stays
+for many seconds was read repeatedly, last one period before it changed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _TIME, _LAST, _VALUE, _SILENCE = range(4)
 
 
 class Thermometer:
-    """Values of one thermometer over time: each when it was first and last seen.
+    """Values of one thermometer over time, with the first and last time of each.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Thermometer:
         return self._used
 
     def add(self, part: Channel) -> None:
-        """Take samples, later than those before; many different values among them count as one reading, their mean."""
+        """Add samples later than the previous ones; many different values among them count as one mean reading."""
         if not len(part):
             return
         t, values = part.t, part.values[:, 0]
@@ -57,7 +57,7 @@ class Thermometer:
         self._rows[self._used - 1, _LAST] = self._seen
 
     def _begin(self, row: Array) -> None:
-        """A new value; its `_LAST` is that of the value before it until its own is known."""
+        """Begin a new value; its `_LAST` is that of the previous value until its own is known."""
         if self._used == len(self._rows):
             self._join()
         if self._used:
@@ -66,19 +66,19 @@ class Thermometer:
         self._used += 1
 
     def at(self, time: Array) -> Array:
-        """Temperature at times (N,), degC: straight lines between the instants of reading."""
+        """Temperature at times (N,), degC, linear between the reading times."""
         known, values = self._instants()
         return np.asarray(np.interp(time, known, values), dtype=np.float64)
 
     def _instants(self) -> tuple[Array, Array]:
-        """Times and temperatures of the thermometer's readings, as far as the times are known."""
+        """Times and temperatures of the readings whose times are known."""
         time, last, value, silence = self._rows[: self._used].T.copy()
         if self._used < 3:
             return time, value
         spans = np.diff(time)
         usual = float(np.quantile(spans, _USUAL))
         interval = float(np.median(silence[1:]))  # between two messages
-        # What stood until `last` was read within the period before it. How long the next value stands tells the period.
+        # The value held until `last` was read within the period before it; the next hold time gives the period.
         period = np.maximum(np.append(spans[1:], (np.inf, np.inf)), usual)
         held = last - np.maximum(period - interval, 0.0)
         late = silence > interval + _LATE * usual
@@ -90,7 +90,7 @@ class Thermometer:
         return at, again
 
     def _join(self) -> None:
-        """Make pairs of neighbours one, except what stood for long; where that is too little, make room."""
+        """Merge pairs of neighbours, except long-lasting values; if too many are left, double the limit."""
         rows = self._rows[: self._used]
         pairs = rows[: self._used // 2 * 2].reshape(-1, 2, 4)
         stands = pairs[:, :, _LAST] - pairs[:, :, _TIME]

@@ -68,7 +68,7 @@ def padded_payload(frame: Frame, size: int) -> bytes:
 
 
 class _Packer:
-    """Stands where a pymavlink connection would: the dialect's ``pack`` only reads these."""
+    """Stands in for a pymavlink connection: the dialect's ``pack`` reads only these attributes."""
 
     class _NoSigning:
         sign_outgoing = False
@@ -113,7 +113,7 @@ _PARAM_SET = struct.Struct("<4sBB16sB")
 
 
 class ParamValue(NamedTuple):
-    """PARAM_VALUE with the value as its four bytes."""
+    """A PARAM_VALUE with the four bytes of its value."""
 
     name: str
     bits: bytes
@@ -125,7 +125,7 @@ class ParamValue(NamedTuple):
 def param_bytes(frame: Frame) -> bytes:
     """The four value bytes of a PARAM_VALUE or PARAM_SET.
 
-    An integer sent bytewise may be the pattern of a NaN, which does not survive a way through a Python float.
+    An integer sent bytewise may have the bit pattern of a NaN, which a Python float does not preserve.
     """
     if frame.message_id not in (PARAM_VALUE_ID, PARAM_SET_ID):
         raise InvalidInputError(f"message id {frame.message_id} carries no parameter value")

@@ -1,4 +1,4 @@
-"""Frames: where they start and end in a stream of bytes, and whether their checksum is right.
+"""Frames in a stream of bytes: where they start and end, and whether their checksum is right.
 
 Layout (mavlink.io, "Packet serialization"): MAVLink 1 is ``FE len seq sys comp id8 payload crc16``; MAVLink 2 is
 ``FD len incompat compat seq sys comp id24 payload crc16 [signature13]``. The checksum is CRC-16/MCRF4XX over
@@ -32,7 +32,7 @@ EXTRA_BYTE = {key: bytes([extra]) for key, extra in CRC_EXTRA.items()}
 
 
 def _crc_uncompiled(data: bytes, initial: int = 0xFFFF) -> int:
-    """CRC-16/MCRF4XX where pymavlink came without its compiled one."""
+    """CRC-16/MCRF4XX for a pymavlink without its compiled one."""
     state = dialect.x25crc()
     state.crc = initial
     state.accumulate(data)
@@ -144,10 +144,10 @@ class Plausibility:
 
 
 class FrameParser:
-    """Finds frames in bytes that arrive in any pieces, and resynchronises over whatever is not a frame.
+    """Finds frames in bytes that arrive in any pieces, and resynchronises after bytes that are no frame.
 
-    A parser belongs to one stream. On a datagram link use :meth:`feed_datagram`, which never lets one datagram's
-    torn end eat the next one's beginning.
+    A parser belongs to one stream. On a datagram link use :meth:`feed_datagram`: a truncated datagram then never takes
+    bytes from the next one.
     """
 
     __slots__ = ("_rest", "crc_errors", "skipped_bytes", "unknown")

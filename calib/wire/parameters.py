@@ -1,7 +1,7 @@
 """Parameter values on the wire: four bytes that mean different things to different firmwares.
 
 ArduPilot casts every value to float32; PX4 copies the bytes of an int32 into the float field. Values are kept as their
-four bytes: the pattern of an integer may be that of a NaN, which does not survive a Python float.
+four bytes: an integer may have the bit pattern of a NaN, which a Python float does not preserve.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mavcal.calib.wire.codec import decode_param_value
 from mavcal.calib.wire.frames import Frame
 
 HASH_CHECK: Final = "_HASH_CHECK"
-"""PX4's checksum of the list comes as if it were a parameter; it is none, and no calibration changes it."""
+"""Name under which PX4 sends the checksum of its list; it is no parameter, and no calibration changes it."""
 NO_INDEX: Final = 65535
 """The index of a value that was not sent as part of a list."""
 
@@ -62,7 +62,7 @@ _LAYOUT: Final = {
 
 
 def value_from_bits(bits: bytes, kind: ParamType, encoding: ParameterEncoding) -> float | int:
-    """Read a value. A cast integer that is no number reads as NaN, so that it equals nothing."""
+    """The value in these bits. A cast integer that is not a number reads as NaN, which equals nothing."""
     if encoding is ParameterEncoding.BYTEWISE or kind is ParamType.REAL32:
         value: float | int = struct.unpack(kind.layout, bits)[0]
         return value
@@ -71,18 +71,18 @@ def value_from_bits(bits: bytes, kind: ParamType, encoding: ParameterEncoding) -
 
 
 def usual_encoding(autopilot: str | None) -> ParameterEncoding:
-    """How a vehicle of this autopilot fills the field, where its own capabilities do not say it."""
+    """Encoding of this autopilot, for a vehicle whose capabilities do not state it."""
     return ParameterEncoding.BYTEWISE if autopilot == "px4" else ParameterEncoding.CAST
 
 
 @dataclass(frozen=True)
 class HeardValue:
-    """What a PARAM_VALUE says, wherever it was heard: on a link or in a recording of one."""
+    """Contents of a PARAM_VALUE, from a link or from a recording."""
 
     name: str
     bits: bytes
     kind: ParamType | None
-    """None: a type that four bytes do not hold; nobody knows the value."""
+    """None: a type that does not fit four bytes; the value is unknown."""
     value: float | int
     """NaN where the type is not known."""
     count: int

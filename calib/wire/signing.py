@@ -1,4 +1,4 @@
-"""Signatures: made, checked, and refused when replayed (mavlink.io, "Message signing")."""
+"""Signatures: making and checking them, and refusing replayed ones (mavlink.io, "Message signing")."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def check_signature(frame: Frame, key: bytes) -> bool:
 class SignatureState:
     """Accepts or refuses signed frames by key and time stamp (mavlink.io, "Message signing").
 
-    A time stamp is stored only after the hash was found right: a forged frame from the future changes nothing.
-    Time stamps are in units of 10 us since 2015-01-01 GMT.
+    A time stamp is stored only after the hash is verified: a forged frame from the future changes nothing. Time stamps
+    are in units of 10 us since 2015-01-01 GMT.
     """
 
     NEW_STREAM_MARGIN = 6_000_000
-    """A stream never heard before may be at most one minute behind."""
+    """Largest lag of the first frame of a stream: one minute."""
 
     def __init__(self, key: bytes, timestamp: int = 0) -> None:
         if len(key) != 32:
@@ -85,6 +85,6 @@ class SignatureState:
         return True
 
     def next_signing(self, link_id: int, now: int) -> Signing:
-        """What signs the next outgoing frame; its time stamp is never one that was used before."""
+        """Signing of the next outgoing frame, with a time stamp not used before."""
         self.timestamp = max(self.timestamp + 1, now)
         return Signing(self._key, link_id, self.timestamp)

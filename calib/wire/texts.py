@@ -19,16 +19,16 @@ def text_bytes(message: Message) -> bytes:
 
 
 def joined_text(pieces: Iterable[bytes]) -> str:
-    """One text of its chunks in order, decoded as a whole; a last character that is incomplete is left out.
+    """The text of its chunks in order, decoded as a whole without an incomplete last character.
 
-    Vehicles cut a text at its greatest length without regard to characters. Bytes that are no UTF-8 become U+FFFD.
+    Vehicles cut a text at its greatest length, even within a character. Bytes that are no UTF-8 become U+FFFD.
     """
     raw = b"".join(pieces)
     return raw[: len(raw) - _cut_off(raw)].decode("utf-8", "replace")
 
 
 def _cut_off(raw: bytes) -> int:
-    """How many bytes at the end begin a character whose rest is missing."""
+    """Number of bytes at the end that belong to an incomplete character."""
     for back in range(1, min(3, len(raw)) + 1):
         byte = raw[-back]
         if byte & 0xC0 == 0x80:  # a later byte of a character: look for its first

@@ -1,4 +1,4 @@
-"""Telemetry logs: a row of records, each eight bytes of big-endian microseconds since 1970 and one frame."""
+"""Telemetry logs: a sequence of records, each eight bytes of big-endian microseconds since 1970 and one frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def tlog_record(time_us: int, raw: bytes) -> bytes:
 
 
 class TlogReader:
-    """Walks the records of a .tlog and resynchronises over damage.
+    """Reads the records of a .tlog and resynchronises after damage.
 
     Iterate for ``(time_us, frame)``; the counters are right once the iteration has ended. A frame of an unknown
     message counts only if another record, or the end, follows it.

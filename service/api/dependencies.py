@@ -1,4 +1,4 @@
-"""What routes share: the application's parts by type, and addresses relative to a request.
+"""Dependencies of routes: parts of the application by type, and addresses relative to a request.
 
 The service may live behind any path prefix, and cannot know it.
 """
@@ -29,13 +29,13 @@ Addressed = TypeVar("Addressed", bound=_Addressed)
 
 @dataclass(frozen=True)
 class Made:
-    """Says in the header Location of an answer where the thing is that the request has made."""
+    """Sets the header Location of an answer to the address of the created object."""
 
     request: Request
     response: Response
 
     def at(self, target: str) -> None:
-        """The thing is at `target`, given from the service's root."""
+        """Set the address `target`, given from the service's root."""
         self.response.headers["Location"] = relative(self.request, target)
 
     def __call__(self, model: Addressed) -> Addressed:

@@ -1,4 +1,4 @@
-"""Routes for whoever runs the service: health, metrics, and how host systems find it."""
+"""Routes for operators of the service: health, metrics, and discovery by host systems."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Routes of jobs, and one event stream for the whole service: jobs, vehicles and links.
 
-A review is a plan in words and pictures, for the person who accepts it; what is unfinished was left on a vehicle by an
+A review is a plan in words and pictures, for the person who accepts it. Unfinished work was left on a vehicle by an
 interrupted run.
 """
 
@@ -50,7 +50,7 @@ log = structlog.get_logger(__name__)
 LOOK_S = 0.5
 """Period of the look at vehicles and links, s."""
 STEADY = {"received", "lost", "loss", "bytes_per_s", "evidence", "crc_errors"}
-"""Fields that change all the time: by themselves they make no event."""
+"""Fields that change all the time, and alone make no event."""
 
 Name = tuple[str, str]
 """`vehicle` or `link`, and its id."""

@@ -25,7 +25,7 @@ LEAST_BYTES_PER_S = 1000
 CLOSE = {"Connection": "close"}
 """Header of an answer after which the rest of the body is not read."""
 STREAMS = ("/events", "/stream", "/samples")
-"""Event streams end so."""
+"""Endings of the paths of event streams."""
 
 
 class Envelope:

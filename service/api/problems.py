@@ -26,7 +26,7 @@ class ProblemResponse(JSONResponse):
     media_type = "application/problem+json"
 
     def render(self, content: Any) -> bytes:
-        """As ASCII: what is quoted from a request need not be valid Unicode."""
+        """The document as ASCII, since text quoted from a request need not be valid Unicode."""
         return json.dumps(content, separators=(",", ":")).encode()
 
 

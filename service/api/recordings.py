@@ -29,7 +29,7 @@ from mavcal.service.api.views import job_model, job_summary, recording_model
 T = TypeVar("T")
 router = APIRouter(tags=["recordings"])
 BYTES = {"type": "string", "format": "binary"}
-"""Schema of a file as it is: generators of clients leave an operation out whose body has none."""
+"""Schema of a raw file; client generators skip operations whose body has no schema."""
 
 
 class Body:
@@ -57,7 +57,7 @@ async def while_connected(request: Request, work: Coroutine[Any, Any, T], body: 
     request
         Whose client is watched.
     work
-        What takes long.
+        The long-running work.
     body
         The body, if `work` reads it; None: it has been read.
 

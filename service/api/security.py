@@ -1,4 +1,4 @@
-"""Who may ask for what: API keys with scopes, and the checks that a browser on the same machine makes necessary.
+"""Access control: API keys with scopes, and checks against pages in a browser on the same machine.
 
 On loopback without keys everybody on the machine may do everything. A page from elsewhere, opened in a browser on
 that machine, must not: the Host header defeats DNS rebinding, the Origin header defeats cross-site requests.
@@ -32,19 +32,19 @@ from mavcal.service.settings import ApiKey, Settings, is_loopback
 log = structlog.get_logger(__name__)
 
 LONGEST = 2000
-"""Characters of a request that are kept."""
+"""Number of characters of a request that are stored."""
 NOT_KEPT = ("/recordings", "/signing-keys")
-"""Requests to addresses that end so carry a file, which is not read here, or a secret."""
+"""Endings of addresses whose requests carry a file, which is not read here, or a secret."""
 COOKIE = "mavcal_key"
 TICKET_S = 30.0
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _KEY = "mavcal.key"
-"""Where a request carries the key that it was found to have."""
+"""Name under which a request carries its verified key."""
 _PORTS = {"http": 80, "https": 443}
 FAILURES_AT_ONCE = 10
 """Failures that a peer may have in quick succession."""
 FAILURE_EVERY_S = 6.0
-"""Afterwards one more so often."""
+"""Time after which one further failure is allowed, s."""
 MOST_PEERS = 1024
 
 
@@ -83,7 +83,7 @@ def _text(value: object) -> str:
 
 
 class Scope(StrEnum):
-    """What a key may do."""
+    """Permission of a key."""
 
     READ = "read"
     OPERATE = "operate"  # links, jobs, answers, uploads
@@ -92,7 +92,7 @@ class Scope(StrEnum):
 
 
 _NOTED = frozenset({Scope.OPERATE, Scope.ADMIN})
-"""Scopes whose requests are noted here; the job engine itself notes what changes a vehicle, whoever asks for it."""
+"""Scopes whose requests are audited here; the job engine itself audits changes of a vehicle."""
 
 
 def digest(key: str) -> str:
@@ -274,7 +274,7 @@ class Throttle:
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self._paid_until: OrderedDict[str, float] = OrderedDict()
-        """When the last failure of a peer will be forgiven: each failure adds FAILURE_EVERY_S."""
+        """Time when the last failure of a peer expires; each failure adds FAILURE_EVERY_S."""
 
     def wait_s(self, peer: str) -> float:
         """Seconds that this peer has to wait before its next try; 0: none."""

@@ -42,7 +42,7 @@ _ABSENT: Final[Mapping[str, tuple[type[ServiceError], str]]] = {
 
 
 class Sight:
-    """What one key sees; `tags` empty: everything."""
+    """The objects that one key may see; `tags` empty: all."""
 
     def __init__(self, service: Service, tags: Collection[str] = ()) -> None:
         self._service = service
@@ -67,7 +67,7 @@ class Sight:
         return row is not None and self.tagged(row.tags)
 
     def _unit_of(self, vehicle_id: str) -> str:
-        """A vehicle may still be addressed by the place where it was heard first."""
+        """Id of a vehicle's unit; the vehicle may still be addressed by the place where it was heard first."""
         try:
             return self._service.vehicles.get(vehicle_id).id
         except VehicleUnknown:

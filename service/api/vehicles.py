@@ -46,7 +46,7 @@ STATE_PERIOD_S = 1.0
 
 
 async def states_of(service: Service, vehicle_id: str) -> tuple[SensorState, ...]:
-    """The four states; asks the vehicle for nothing, so only parameters that were heard before are compared."""
+    """The four states, compared with parameters heard so far; nothing is requested from the vehicle."""
     vehicle = service.vehicles.get(vehicle_id)
     identity = JobVehicle(vehicle).identity
     jobs = verified_jobs(service.jobs.list(), vehicle_id, identity)
@@ -198,7 +198,7 @@ def _samples(channels: Sequence[Channel]) -> list[SamplesModel]:
 
 
 def _digits(value: float) -> float | None:
-    """Six significant digits: no sensor has more, and a phone's link is slow."""
+    """`value` with six significant digits: no sensor has more, and a phone's link is slow."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
 
 

@@ -1,4 +1,4 @@
-"""Wire models from domain objects, and nothing else."""
+"""Wire models from domain objects."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def job_model(job: Job) -> JobModel:
 
 
 def unfinished_model(found: Unfinished) -> UnfinishedModel:
-    """What an interrupted job has left."""
+    """The unfinished work of an interrupted job."""
     return UnfinishedModel.model_validate(
         {
             "job": _summary(found.job),

@@ -1,1 +1,1 @@
-"""What a campaign does with one item: a vehicle, an upload, or a file of an archive."""
+"""Campaigns: the same work on many vehicles, uploads, or files of an archive."""

@@ -32,7 +32,7 @@ from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.rows import JobDocument
 
 FOLDER = "folder"
-"""Option of a campaign through files: where they are. Such a campaign is never run by a service."""
+"""Option with the folder of a campaign through files, which is never run by a service."""
 
 
 def files_of(folder: Path, pattern: str) -> list[str]:
@@ -185,6 +185,6 @@ def _part(turn: ItemTurn) -> Json:
 
 
 def _failed(error: Mapping[str, str], turn: ItemTurn) -> ItemEnd:
-    """How an item ends whose file could not be fitted; the folder is no part of the reason."""
+    """End of an item whose file could not be fitted; the reason does not name the folder."""
     text = error["text"].replace(f"{turn.options[FOLDER]}/", "")
     return ItemEnd(ItemOutcome.FAILED, text[:1].upper() + text[1:], error["code"])

@@ -1,4 +1,4 @@
-"""Checks what a campaign is asked to do, then begins it; holds what each task does in a running service."""
+"""Checks and begins campaigns; defines the work of each task in a running service."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class CalibrationOrder:
     options: Mapping[str, Any]
     plan_options: Mapping[str, Any]
     apply: bool = False
-    """Accept every plan that nothing stands against."""
+    """Accept every plan without objections."""
     reboot: bool = False
     """Restart a vehicle whose plan needs it; otherwise such a plan stays in review."""
     actor: str = "operator"
@@ -69,7 +69,7 @@ class RestoreOrder:
 
 @dataclass(frozen=True)
 class CampaignDesk:
-    """Where campaigns are asked for. `at_once` bounds the items of one campaign; None: its queue alone does."""
+    """Begins campaigns on request. `at_once` bounds the items of one campaign; None: its queue alone does."""
 
     campaigns: Campaigns
     computations: Computations
@@ -99,7 +99,7 @@ class CampaignDesk:
         return await self._begin(CampaignTask.CALIBRATE, options, vehicles, at_once, self.attended)
 
     async def restore(self, vehicles: Sequence[str], order: RestoreOrder, *, at_once: int | None = None) -> Job:
-        """The last verified calibration of each vehicle put back. Raises as :meth:`calibrate`."""
+        """A campaign that restores the last verified calibration of each vehicle. Raises as :meth:`calibrate`."""
         options = self._writing(order)
         return await self._begin(CampaignTask.RESTORE, options, vehicles, at_once, self.attended)
 

@@ -1,8 +1,7 @@
 """Campaigns: the same preflight, calibration, fit or diagnosis for many vehicles or logs, as one job.
 
-Items wait for a place in their queue: vehicles in one, processor work in another, and whoever waits for a person in a
-third, where nothing else is held. No item ends a campaign. One whose service was stopped goes on with the items that
-have not ended.
+Items wait in queues: vehicles in one, processor work in another, items that need a person in a third, where they hold
+no place. No item ends a campaign. A campaign whose service was stopped continues with the items that have not ended.
 """
 
 from __future__ import annotations
@@ -107,13 +106,13 @@ class ItemWork(Protocol):
 
     @property
     def most_starts(self) -> int | None:
-        """So often an item is begun whose service stops meanwhile: it may be the item that stops it. None: always."""
+        """Most starts of an item during which the service stops: the item may be the cause. None: no limit."""
 
     async def run(self, turn: ItemTurn) -> ItemEnd:
         """Process the item. A ServiceError or CalibError ends this item alone."""
 
     async def cancelled(self, turn: ItemTurn) -> str:
-        """The campaign was cancelled while :meth:`run` ran, and :meth:`run` with it: end what it began; say how."""
+        """End the work that :meth:`run` began, after a cancellation; returns how it ended."""
 
 
 class Campaigns:
@@ -226,7 +225,7 @@ class Campaigns:
             handle.move(JobState.SUCCEEDED, outcome=Result(run.text(_noun(task)), proof_reason=why), progress=None)
 
     async def _run_or_interrupt(self, handle: JobHandle, run: _Run) -> None:
-        """Go through the items; a campaign that cannot keep what became of them is interrupted."""
+        """Process the items; a campaign that cannot store their outcomes is interrupted."""
         try:
             await self._run_items(handle, run)
         except* StoreError as errors:
@@ -247,7 +246,7 @@ class Campaigns:
                 doing.add_done_callback(partial(_left, place))
 
     async def _run_item(self, handle: JobHandle, work: ItemWork, item: Item, place: QueuePlace, run: _Run) -> None:
-        """One item from its begin to its outcome, both in the store."""
+        """Process one item; its start and its outcome are stored."""
         again = item.starts > 0
         item = dataclasses.replace(
             item, outcome=ItemOutcome.RUNNING, began_at=self._wall(), starts=item.starts + 1, text=""
@@ -287,7 +286,7 @@ class Campaigns:
 
 
 def uploads_of_campaign(job: Job, store: Store) -> set[str]:
-    """The uploads that must stay for a campaign: what it still has to go through, and what that is compared with."""
+    """The uploads that a campaign still needs: those left to process, and those they are compared with."""
     over = job.state in ENDED - {JobState.INTERRUPTED}
     if over or job.options.get("task") not in {CampaignTask.FIT, CampaignTask.GAP}:
         return set()

@@ -16,7 +16,7 @@ from mavcal.service.campaigns import worker
 
 FORMS = "threads[:N], processes[:N], dask:ADDRESS or MODULE:FACTORY"
 SPARE = 2
-"""So many orders for each worker are handed out at a time: it has the next one while an answer is on its way."""
+"""Orders handed out to each worker at a time, so that it has the next one while an answer is on its way."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The items of a campaign: one for each vehicle or log, with what became of it."""
+"""The items of a campaign: one for each vehicle or log, with its outcome."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class ItemOutcome(StrEnum):
 
 
 OPEN = frozenset({ItemOutcome.WAITING, ItemOutcome.RUNNING})
-"""Outcomes of items that a campaign still has to go through."""
+"""Outcomes of items still to be processed."""
 ABSENT = (VehicleSilent, VehicleUnknown, VehicleArmed, VehicleBusy, VehicleConflict, LinkDown)
 TAKEN = (PhysicalJobRunning, PreflightRunning)
-"""Errors that say that a vehicle cannot be had now; an item that meets one is skipped."""
+"""Errors that mean an unavailable vehicle; such an item is skipped."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Item:
     began_at: float | None = None
     ended_at: float | None = None
     starts: int = 0
-    """How often it was begun: more than once if the service was stopped meanwhile."""
+    """Number of starts: more than one if the service was stopped meanwhile."""
     result: Mapping[str, Any] | None = None
     """What was found: ``preflight``, ``fits`` with the digest of the log, or the names of ``documents``."""
 
@@ -87,7 +87,7 @@ BEGUN_BY = "campaign"
 
 
 def begun_by(campaign_id: str, item: Item) -> dict[str, Any]:
-    """What the context of a job has under :data:`BEGUN_BY` that was begun for this item."""
+    """Value of :data:`BEGUN_BY` in the context of a job begun for this item."""
     return {"id": campaign_id, "item": item.number}
 
 

@@ -27,7 +27,7 @@ DOUBT_S = 120.0
 _LOOK_S = 0.1
 _FOR_A_PERSON = frozenset({JobState.WAITING_FOR_OPERATOR, JobState.WAITING_FOR_REBOOT})
 _LOST = frozenset({JobState.CANCELLED, JobState.INTERRUPTED})
-"""A job that a stopped service left in one of these states came to nothing: the item begins again."""
+"""States in which a job of a stopped service is lost, so that the item begins again."""
 
 _OUTCOMES = {Verdict.PASS: ItemOutcome.DONE, Verdict.FAIL: ItemOutcome.REFUSED}
 """Outcome by the verdict of a preflight; any other verdict warns."""
@@ -158,7 +158,7 @@ class CalibrationWork:
 
 @dataclass
 class RestoreWork(CalibrationWork):
-    """The last verified calibration of each vehicle put back; options `plan_options`, `apply`, `reboot`, `actor`."""
+    """Restores the last verified calibration of each vehicle. Options: `plan_options`, `apply`, `reboot`, `actor`."""
 
     async def _begin(self, turn: ItemTurn) -> Job:
         if turn.again:

@@ -1,4 +1,4 @@
-"""What runs inside an executor's worker, wherever that is: one log, read in a child process with limits.
+"""Work of an executor's worker on any machine: one log, read in a child process with limits.
 
 Every process that does such work has a fork server of its own, whether its executor has threads, processes or machines.
 What comes back is data that any executor can carry.
@@ -51,7 +51,7 @@ def computed(task: str, order: Mapping[str, Any], limits: Limits) -> Json:
 
 
 def with_parent(pid: int) -> None:
-    """Begins a process of a pool: it ends with the one that it works for, however that ends."""
+    """Tie a process of a pool to its parent, so that it ends with the parent, however that ends."""
     die_with_parent(pid)  # at once, on Linux, even if nobody has asked yet what became of that one
     follow({ENDS_WITH: str(pid)})
 
@@ -81,7 +81,7 @@ class _Worker:
         return Children(self._folder / "orders", most=MOST_CHILDREN)
 
     async def _stopped(self) -> None:
-        """End the children, and let whoever waits for one hear of it."""
+        """End the children, and give waiting callers time to receive the error."""
         await self._children.stop()
         others = asyncio.all_tasks() - {asyncio.current_task()}
         if others:

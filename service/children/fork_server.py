@@ -32,7 +32,7 @@ LONGEST_LINE = 400
 """Characters of a progress line that are passed on."""
 _PIPE_BYTES = 1 << 16
 _QUIET_S = 2.0
-"""After so long without a child and without an order there is nothing else to do."""
+"""Time without a child and an order after which the server counts as idle, s."""
 
 
 class ForkServer:
@@ -40,7 +40,7 @@ class ForkServer:
 
     def __init__(self, later: Iterable[str] = ()) -> None:
         self._later = list(later)
-        """Modules that are imported, one at a time, while there is nothing else to do."""
+        """Modules to be imported one at a time while idle."""
         self._selector = selectors.DefaultSelector()
         self._children: dict[int, str] = {}
         """Order by process id."""
@@ -161,7 +161,7 @@ def _child(order: Json, fork_server: int, progress: int) -> NoReturn:
 
 
 def _descriptors(stderr: Path, progress: int) -> int:
-    """Leave open only: nothing to read, a file for complaints, the progress pipe; where that is now."""
+    """Keep only an empty stdin, a file as stderr, and the progress pipe; returns the pipe's descriptor."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     complaints = os.open(stderr, os.O_WRONLY | os.O_CREAT, 0o600)
     os.dup2(nothing, 0)

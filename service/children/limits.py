@@ -13,11 +13,11 @@ from dataclasses import dataclass
 OUT_OF_MEMORY = 70
 """Exit code of a child that asked for more memory than it may have."""
 DEFECT = 71
-"""Exit code of a child that ended by an exception that nobody expected; its stderr has the trace."""
+"""Exit code of a child that ended by an unexpected exception; its stderr has the trace."""
 NICENESS = 5
-"""Children give way to the service, and so to live calibrations."""
+"""Niceness of children, which yield to the service and so to live calibrations."""
 LARGEST_RESULT = 1 << 28
-"""Bytes of any file that a child writes."""
+"""Largest file that a child may write, bytes."""
 MOST_FILES = 64
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None

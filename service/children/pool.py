@@ -30,14 +30,14 @@ ProgressCallback = Callable[[str], None]
 MOST_WAITING = 32
 """Orders that may be waiting or running at a time."""
 LARGEST_RESULT = 1 << 26
-"""Bytes of a result that are taken."""
+"""Largest result that is accepted, bytes."""
 STOP_S = 5.0
 """How long the fork server may take to end."""
 _STDERR_TOLD = 4000
 
 
 class Runs(Protocol):
-    """Interface of what runs tasks of :mod:`service.children.tasks` within limits."""
+    """Runs tasks of :mod:`service.children.tasks` within limits."""
 
     most: int
     """The most items of a campaign that run at a time."""
@@ -239,7 +239,7 @@ def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
 
 
 def refusal(kind: str, text: str) -> CalibError:
-    """The error that the task raised; whatever is not one of the domain's own is invalid input."""
+    """The error that the task raised; any error not of this package becomes invalid input."""
     made = getattr(mavcal.calib.errors, kind, None)
     known = isinstance(made, type) and issubclass(made, CalibError)
     return made(text) if known else InvalidInputError(text)  # type: ignore[misc]

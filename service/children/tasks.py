@@ -37,7 +37,7 @@ LATER = (
     ),  # what `calib` computes with
     *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
 )
-"""What the fork server imports for its children, before it serves and while it is idle."""
+"""Modules that the fork server imports for its children, before it serves and while it is idle."""
 _EVERY_S = 0.5
 """Least time between two lines about one stage of a diagnosis."""
 
@@ -109,7 +109,7 @@ def diagnose(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
         limit = wall
 
     def elapsed() -> float:
-        """Processor time used, s; the same share of the time by the clock where that is more."""
+        """Processor time used, s; or, if larger, the used share of the wall-clock limit in the same scale."""
         by_clock = (time.monotonic() - asked) * (limit / wall) if math.isfinite(wall) else 0.0
         return max(time.process_time() - spent, by_clock)
 
@@ -133,7 +133,7 @@ def diagnose(order: Mapping[str, Any], on_progress: OnProgress) -> Json:
 
 
 def _seldom(on_progress: OnProgress) -> Callable[[GapProgress], None]:
-    """Tells every stage of a diagnosis, and of its steps no more than a few a second."""
+    """Reports every stage of a diagnosis, but at most a few steps a second."""
     reported_at: dict[str, float] = {}
 
     def show(standing: GapProgress) -> None:

@@ -1,4 +1,4 @@
-"""The loop between a real flight and a simulator, closed: fly, diagnose, set, fly again.
+"""Closes the loop between a real flight and a simulator: fly, diagnose, set, fly again.
 
 The simulator is whatever a command starts and MAVLink flies. Order of the modules: `settings`, `simulator`, `logs` (a
 round's files and process) -> `link`, `autopilot`, `proof` (it is a simulator), `conversation`, `mission`, `pilot` (its

@@ -1,4 +1,4 @@
-"""How each firmware is flown by a program: ArduPilot in GUIDED and AUTO, PX4 in offboard and AUTO.MISSION.
+"""Messages that fly each firmware: ArduPilot in GUIDED and AUTO, PX4 in offboard and AUTO.MISSION.
 
 ArduPilot takes the thrust of SET_ATTITUDE_TARGET as a climb rate about 0.5, PX4 as thrust. PX4 enters offboard only
 while targets arrive, and has no take-off there: it is flown up. Item 0 of a mission is home to ArduPilot, and the first
@@ -56,12 +56,12 @@ def command(to: Target, number: int, *parameters: float) -> Any:
 
 
 class Autopilot(ABC):
-    """One firmware's way; every method gives the message to send."""
+    """How one firmware is flown; every method gives the message to send."""
 
     name: str
-    """As `LoggedMission.autopilot` has it."""
+    """Name as in `LoggedMission.autopilot`."""
     called: str
-    """As one says it."""
+    """Name for people."""
     guided: int
     """Custom mode of its heartbeat while a program flies it."""
     auto: int
@@ -69,19 +69,19 @@ class Autopilot(ABC):
     first: int
     """Number of a mission's first item behind home."""
     speed: tuple[str, float]
-    """Parameter of the speed of missions, and the m/s of its unit."""
+    """Parameter of the mission speed, and its unit in m/s."""
     climbs_by_itself: bool
-    """Whether a command takes it off; else a velocity does."""
+    """Whether it takes off by a command; otherwise by a velocity target."""
     hover_thrust: float
-    """Thrust of an attitude that holds the height."""
+    """Thrust of an attitude target that holds the height."""
     thrust_parameter: str
-    """Parameter that says it; empty: it is always the same."""
+    """Parameter with the hover thrust; empty: it is constant."""
     quiet: Mapping[str, float]
     """Parameters that end the log of a vehicle that is disarmed."""
 
     @abstractmethod
     def guide(self, to: Target) -> Any:
-        """Have it obey a program."""
+        """Change to the mode that obeys a program."""
 
     def arm(self, to: Target) -> Any:
         """Arm."""
@@ -135,7 +135,7 @@ class ArduPilot(Autopilot):
         return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, self.auto)
 
     def ready(self, to: Target) -> Any:
-        """GUIDED: it does not arm in AUTO."""
+        """GUIDED, since it does not arm in AUTO."""
         return self.guide(to)
 
     def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
@@ -163,11 +163,11 @@ class Px4(Autopilot):
         return command(to, dialect.MAV_CMD_DO_SET_MODE, _CUSTOM, _PX4_MAIN_AUTO, _PX4_SUB_MISSION)
 
     def ready(self, to: Target) -> Any:
-        """AUTO.MISSION: once it is armed it begins."""
+        """AUTO.MISSION, in which it begins once armed."""
         return self.follow_mission(to)
 
     def items(self, mission: LoggedMission) -> tuple[MissionItem, ...]:
-        """The items; home is where it was armed."""
+        """The mission items without home, which is where it was armed."""
         return mission.items
 
 

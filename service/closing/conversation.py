@@ -18,9 +18,10 @@ from mavcal.service.errors import LinkDown
 
 ATTITUDE_HZ, POSITION_HZ = 50.0, 25.0
 SILENT_S = 20.0
-"""Wall seconds without a newer state of the vehicle after which it hangs. Chosen, not measured."""
+"""Time without a newer state after which the vehicle counts as hung, wall seconds. Chosen, not measured."""
 RESTARTED_S = 1.0
-"""Fall of the vehicle's clock that is a restart. Chosen, not measured: messages overtake each other by less."""
+"""Backward step of the vehicle's clock that means a restart, s. Chosen, not measured: messages overtake each other by
+less."""
 TRY_S = 1.0
 """Vehicle seconds between two tries."""
 _STREAMS_S = 2.0
@@ -55,9 +56,9 @@ class Conversation:
         self.state = VehicleState()
         self.doing = "connecting"
         self.flying = False
-        """While it flies it must stay armed and in the mode in which it obeys."""
+        """Whether it must stay armed and in the expected mode."""
         self.obeys = self.way.guided
-        """That mode."""
+        """The expected mode."""
         self.listeners: list[Callable[[Message], None]] = []
         """Hear every message after the conversation itself."""
         self._texts: deque[str] = deque(maxlen=_TEXTS)
@@ -153,7 +154,7 @@ class Conversation:
             )
 
     def where(self) -> str:
-        """How far it is, in words."""
+        """Position in the mission, in words."""
         return f"{self.state.t - self._began:.0f} s into the mission ({self.doing})"
 
     def said(self) -> str:
@@ -186,7 +187,7 @@ class Conversation:
         return until()
 
     def parameter(self, name: str, otherwise: float) -> float:
-        """The value of a parameter of the vehicle; `otherwise` if it does not say it."""
+        """Value of a parameter of the vehicle; `otherwise` if it does not answer."""
         request = dialect.MAVLink_param_request_read_message(*self.to, name.encode(), -1)
         self.run(2 * TRY_S, lambda: request, until=lambda: name in self._parameters)
         return self._parameters.get(name, otherwise)

@@ -1,6 +1,6 @@
-"""Has a vehicle fly the mission of a log by itself, and follows it item by item by its own clock.
+"""Has a vehicle fly the mission of a log by itself, and follows it item by item on its own clock.
 
-It is uploaded before: the vehicle asks for one item after the other, then answers.
+The mission is uploaded first: the vehicle requests one item after the other, then acknowledges.
 """
 
 from __future__ import annotations
@@ -20,15 +20,14 @@ from mavcal.service.closing.mission import SPEED, LogMission
 from mavcal.service.closing.pilot import ARM_S, arm, begin, land
 
 LONGER, MORE_S = 3.0, 45.0
-"""An item may take so many times its length, and so many seconds more. Chosen, not measured: for weak vehicles."""
+"""Time allowed for an item: a multiple of its length, and seconds more. Chosen, not measured, for weak vehicles."""
 _CURRENT_HZ = 5.0
 _LIFTED_M = 0.5
 _LIFT_S = 30.0
 _STARTS = 3
 _SLOWEST = 0.1
-"""m/s; slower ArduPilot does not fly to a place (``AC_WPNav.cpp``)."""
-_NONE = -1
-"""Index of no item."""
+"""Lowest speed at which ArduPilot flies to a place, m/s (``AC_WPNav.cpp``)."""
+_NO_ITEM = -1
 _CALLED = {way.name: way.called for way in (ways.ArduPilot, ways.Px4)}
 _HOME_ASK = dialect.MAVLINK_MSG_ID_HOME_POSITION
 
@@ -41,7 +40,7 @@ class Follower:
         self._home: Place | None = None
         self._items: tuple[MissionItem, ...] = ()
         self._last = 0
-        self._current, self._reached, self._complete = _NONE, _NONE, False
+        self._current, self._reached, self._complete = _NO_ITEM, _NO_ITEM, False
 
     def fly(self, settings: Mapping[str, float] | None = None) -> None:
         """The whole mission; `settings` are parameters that are set first, over MAVLink.
@@ -130,16 +129,16 @@ class Follower:
         return state.mode == self._vehicle.way.auto and state.height > _LIFTED_M
 
     def _follow(self, flown: LoggedMission, speed: float) -> None:
-        """Until the last item is done, or the vehicle has landed and disarmed."""
+        """Follow the mission until the last item is done, or the vehicle has landed and disarmed."""
         vehicle = self._vehicle
         limits = [LONGER * seconds + MORE_S for seconds in durations(flown, speed)]
         began = since = vehicle.state.t
-        at = _NONE
+        at = _NO_ITEM
         while not self._done:
             now = vehicle.state.t
             if self._current != at:
                 at, since = self._current, now
-            if at != _NONE and now - since > limits[at]:
+            if at != _NO_ITEM and now - since > limits[at]:
                 self._stands(flown.items[at].name, now - since, limits[at])
             if now - began > sum(limits):
                 self._stands("the mission", now - began, sum(limits))
@@ -170,32 +169,32 @@ class Follower:
             self._home = Place(1e-7 * message.latitude, 1e-7 * message.longitude, 1e-3 * message.altitude)
 
     def _is_at(self, index: int) -> None:
-        """At once, not when all that has arrived is taken in: a vehicle that lands may disarm right behind it."""
+        """Take in the present item at once: a landing vehicle may disarm in the next message."""
         if index != self._current and 0 <= index < len(self._items):
             self._current = index
             if self._vehicle.flying:
                 self._begun()
 
     def _has_reached(self, index: int) -> None:
-        """Behind its last item PX4 holds its place, and before a return it says no more: other modes, both of them."""
+        """Take in a reached item; after its last one PX4 holds, or returns without a message, in another mode."""
         self._reached = max(self._reached, index)
         left = [item for item in self._items[self._reached + 1 :] if item.flies]
         if self._items and (not left or left[0].command in LANDINGS):
             self._vehicle.flying = False
 
     def _begun(self) -> None:
-        """Name the present item as what is being done; a vehicle may disarm only in a landing."""
-        if self._current != _NONE:
+        """Report the present item as the activity; a vehicle may disarm only in a landing."""
+        if self._current != _NO_ITEM:
             item = self._items[self._current]
             self._vehicle.doing = f"flying {item.name}"
             self._vehicle.flying = item.command not in LANDINGS
 
 
 QUIET_S = 3.0
-"""Vehicle seconds without a question after which the upload begins anew: vehicles ask again after one second."""
+"""Vehicle seconds without a request after which the upload begins anew; vehicles repeat a request after one second."""
 TRIES = 10
 _PASSED = (dialect.MAV_MISSION_INVALID_SEQUENCE, dialect.MAV_MISSION_OPERATION_CANCELLED)
-"""Answers to an item that came twice, and to an upload that was given up: neither is a refusal."""
+"""Answers to a repeated item and to an abandoned upload; neither is a refusal."""
 _DEGREE = 1e7
 
 
@@ -210,7 +209,7 @@ class Upload:
         self._result: int | None = None
 
     def run(self) -> None:
-        """Until the vehicle has taken all of them.
+        """Upload until the vehicle has taken every item.
 
         Raises
         ------

@@ -21,7 +21,7 @@ from mavcal.service.link.types import Address, OwnIdentity
 
 HEARTBEAT_S = 1.0
 NOBODY_S = 2.5
-"""Wall seconds in which nobody may be heard before the simulator is started: two heartbeats of a vehicle."""
+"""Silence required before the simulator is started, wall seconds: two heartbeats of a vehicle."""
 _AGAIN_S = 0.2
 _WAIT_S = 0.05
 IDS = frozenset(
@@ -41,7 +41,7 @@ IDS = frozenset(
         dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED,
     }
 )
-"""Messages that are decoded; the rest is stepped over."""
+"""Messages that are decoded; all others are skipped."""
 
 
 class VehicleLink:
@@ -61,9 +61,9 @@ class VehicleLink:
         self._sequence = 0
         self._beat = -HEARTBEAT_S
         self.heartbeat: Message | None = None
-        """The vehicle's last one."""
+        """The vehicle's last heartbeat."""
         self.target = (0, 0)
-        """Its system and component."""
+        """The vehicle's system and component ids."""
 
     def __enter__(self) -> Self:
         return self
@@ -172,7 +172,7 @@ class VehicleLink:
 
 
 def require_nobody(endpoint: Endpoint) -> None:
-    """Listen where the simulator is going to be. Raises OtherVehicle if a vehicle is there already."""
+    """Check that no vehicle is heard at the simulator's address. Raises OtherVehicle otherwise."""
     with VehicleLink(endpoint) as link:
         try:
             link.connect(NOBODY_S, lambda: None)

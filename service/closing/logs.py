@@ -12,20 +12,20 @@ from mavcal.service.closing.errors import LogUnusable
 from mavcal.service.closing.simulator import LOG
 
 _BEGINNINGS = (b"\xa3\x95", b"ULog")
-"""DataFlash, ULog. An `eeprom.bin` of ArduPilot begins with neither."""
+"""First bytes of a DataFlash log and of a ULog; ArduPilot's `eeprom.bin` begins with neither."""
 _ENDINGS = (".bin", ".ulg")
 
 
 @dataclass(frozen=True)
 class Flown:
-    """The log of a flight that is whole, and what is to be said of it."""
+    """The log of a complete flight, with notes on it."""
 
     log: Path
     notes: tuple[str, ...] = ()
 
 
 def find_log(folder: Path) -> Path:
-    """The log of that name, or the newest .bin or .ulg below `folder` that is one.
+    """The log of the fixed name, or the newest valid .bin or .ulg below `folder`.
 
     Raises
     ------

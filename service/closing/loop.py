@@ -29,22 +29,22 @@ from mavcal.service.link.endpoint import parse_endpoint
 PORT = "{port}"
 CONNECT = f"tcp:127.0.0.1:{PORT}"
 HEARTBEAT_S = 60.0
-"""Wall seconds for a simulator to start. Chosen, not measured: Gazebo needs some 20."""
+"""Time for a simulator to start, wall seconds. Chosen, not measured: Gazebo needs some 20."""
 _REPORT_EVERY_S = 0.5
 _MOST_DROPPED = 0.02
-"""Part of its samples that a simulator's log may lack. Measured: beside a log that lacked 8 %, in a thousand holes, a
-vibration was named that was not there, and the rotor drag's error doubled; at half the speed nothing was lost."""
+"""Largest share of samples that a simulator's log may lack. Measured with a log that lacked 8 % in a thousand gaps: a
+vibration was named that was not there, and the rotor drag's error doubled. At half the speed nothing was lost."""
 _SLOWEST = 1.0
 _LOG_QUIET_S, _LOG_MOST_S = 0.7, 30.0
-"""Wall seconds without growth after which a log is whole, and the most that is waited. Chosen, not measured: the logger
-of ArduPilot writes many times a second."""
+"""Time without growth after which a log counts as complete, and the longest wait, wall seconds. Chosen, not measured:
+the logger of ArduPilot writes many times a second."""
 
 OnProgress = Callable[[str, float, float | None], None]
 """Called with the present step, its progress (0..1), and the seconds left (None: not known)."""
 
 
 class Diagnose(Protocol):
-    """Says where the real flight differs from the simulated one; its effects carry what to set (`sim_patch`)."""
+    """Diagnoses the real flight against the simulated one; `sim_patch` of its effects has what to set."""
 
     def __call__(
         self, real: Recording, sim: Recording, *, frame: Mapping[str, Any], folder: Path, on_progress: OnProgress
@@ -57,7 +57,7 @@ class Diagnose(Protocol):
 class ClosingPlan:
     """The loop to close: the real flight against the simulator of `command`.
 
-    `rounds` counts flights with a remedy, after the first one with the settings of `start`; `connect` is an endpoint in
+    `rounds` counts flights with a remedy, after the first one with the settings of `start`. `connect` is an endpoint in
     which ``{port}`` stands for the free port of a round.
     """
 
@@ -76,7 +76,7 @@ class ClosingPlan:
 
 @dataclass(frozen=True)
 class ClosingResult:
-    """The rounds, and why there are no more."""
+    """The rounds, and why the loop ended."""
 
     outcome: Outcome
     rounds: tuple[RoundResult, ...]
@@ -221,7 +221,7 @@ def _speed(speedup: float) -> str:
 
 
 class _FlightClock:
-    """How far a flight is, and how long the rest takes on the wall's clock."""
+    """Progress of a flight, and the remaining wall time."""
 
     def __init__(self, seconds: float, on_progress: OnProgress) -> None:
         self._seconds, self._on_progress = seconds, on_progress
@@ -235,7 +235,7 @@ class _FlightClock:
 
 
 def _let_log_end(vehicle: Conversation, folder: Path) -> None:
-    """Wait until the log does not grow any more: faster than real time, a firmware's logger is seconds behind."""
+    """Wait until the log no longer grows: faster than real time, a firmware's logger lags by seconds."""
     vehicle.doing = "waiting for the log"
     vehicle.stop_logging()
     size, since, end = -1, time.monotonic(), time.monotonic() + _LOG_MOST_S

@@ -20,9 +20,10 @@ _UP = 1.5
 """Mean climb of a take-off, m/s. Source: ArduPilot's simulator."""
 _LANDING_S = 10.0
 LOW = 2.0
-"""Where the landing begins, m: from here at 0.45 m/s the last seconds are within a rotor's radius of the ground."""
+"""Height at which the landing begins, m. From here at 0.45 m/s the last seconds are within a rotor's radius of the
+ground."""
 SPEED = 5.0
-"""Speed for which the length of a log's mission is told, m/s; ArduPilot's own WPNAV_SPEED is 5 to 10."""
+"""Speed assumed for the duration of a log's mission, m/s; ArduPilot's WPNAV_SPEED is 5 to 10."""
 
 
 class MissionKind(StrEnum):
@@ -99,7 +100,7 @@ def _out_and_back(name: str, *, seconds: float, ahead: float = 0.0, right: float
 
 
 def _doublet(axis: str) -> list[Leg]:
-    """20 degrees one way, 20 the other, level."""
+    """A doublet: 20 degrees one way, 20 the other, level."""
     leans = [(20.0, 0.35), (-20.0, 0.35), (0.0, 0.4)]
     return [
         Leg(f"{axis} doublet", s, roll=angle * (axis == "roll"), pitch=angle * (axis == "pitch"), leans=True)

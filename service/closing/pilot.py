@@ -1,4 +1,4 @@
-"""Flies a mission over MAVLink, by the vehicle's own clock: a simulator may run faster than the wall's."""
+"""Flies a mission over MAVLink by the vehicle's own clock: a simulator may run faster than real time."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from mavcal.service.closing.errors import MissionLeft, SimulatorUnarmed
 from mavcal.service.closing.mission import Leg, Mission
 
 VELOCITY_EVERY_S, LEAN_EVERY_S = 0.1, 0.02
-"""Period of a repeated target, s of the vehicle: it must not time out, and a doublet's edges must be sharp."""
+"""Period of a repeated target, s of the vehicle's clock: no timeouts, and sharp edges of a doublet."""
 ARM_S = 150.0
 """Vehicle seconds for arming: estimators of simulators need some 40."""
 _OBEY_S = 0.4
 _TAKEOFF_S, _LAND_S = 30.0, 60.0
 _NEARLY = 0.5
 _STANDS_S = 6.0
-"""Vehicle seconds below `_NEARLY` after which it has landed. Chosen, not measured: ArduCopter comes down at 0.5 m/s."""
+"""Vehicle seconds below `_NEARLY` that count as landed. Chosen, not measured: ArduCopter descends at 0.5 m/s."""
 _TAKE_OFFS = 3
 
 
@@ -59,7 +59,7 @@ class Pilot:
         vehicle.run(self._mission.rest_after_s)
 
     def _arm(self) -> None:
-        """Have it obey, then arm, again and again."""
+        """Change to the mode that obeys, then arm, repeatedly."""
         vehicle, way = self._vehicle, self._vehicle.way
         still = None if way.climbs_by_itself else lambda: self._velocity(0.0, 0.0, 0.0)  # else it obeys nobody
         arm(vehicle, way.guide(vehicle.to), still)
@@ -84,7 +84,7 @@ class Pilot:
         vehicle.flying = True
 
     def _climbs(self, high: Callable[[], bool]) -> bool:
-        """Tell it to climb; armed again where it disarmed itself (DISARM_DELAY) before it heard so."""
+        """Command a climb; arm again if it disarmed itself before (DISARM_DELAY)."""
         vehicle, way = self._vehicle, self._vehicle.way
         for _ in range(_TAKE_OFFS):
             vehicle.run(TRY_S)

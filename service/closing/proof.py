@@ -1,4 +1,4 @@
-"""Nothing is flown that has not shown that it is a simulator: asked before it is told anything.
+"""Proof that a vehicle is a simulator, required before any command.
 
 Until then the vehicle gets heartbeats and questions only, which change nothing in it.
 """
@@ -35,7 +35,7 @@ class SimulatorProof:
         self._parameters: set[str] = set()
 
     def require(self) -> None:
-        """Ask until the vehicle has shown it.
+        """Ask until the vehicle has shown that it is a simulator.
 
         Raises
         ------
@@ -69,14 +69,14 @@ class SimulatorProof:
 
     @property
     def _decided(self) -> bool:
-        """Whether no further answer can show it: that of an unknown firmware, or of one on other hardware."""
+        """Whether no further answer can prove it: the firmware is unknown, or runs on other hardware."""
         assumed = proofs_needed(self._autopilot)
         return self._autopilot is None or (
             self._stated is not None and why_no_simulator(self._autopilot, self._stated, assumed) is not None
         )
 
     def _ask(self) -> None:
-        """The new way and the old one: each firmware knows one of them at least."""
+        """Ask by the new message and the old one; each firmware knows at least one of them."""
         to = self._link.target
         self._link.send(ways.command(to, dialect.MAV_CMD_REQUEST_MESSAGE, _VERSION))
         self._link.send(ways.command(to, dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0))

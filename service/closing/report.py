@@ -1,4 +1,4 @@
-"""A loop in words: a line a round, a sentence at the end, and a page."""
+"""Reports of a loop: a line for each round, a final sentence, and a page."""
 
 from __future__ import annotations
 

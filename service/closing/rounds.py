@@ -18,7 +18,7 @@ _AIRFRAME = "airframe"
 """Id under which a report says that no airframe could be compared."""
 _MOST_DOUBTS = 3
 PREDICTED_S = 1.0
-"""Length of the predicted flights whose error sums a round up."""
+"""Length of the predicted flights whose error summarises a round, s."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RoundResult:
     velocity_error: float | None
     settings: SimSettings
     to_set: SimSettings
-    """With the remedy of these effects: what the next round flies with."""
+    """Settings of the next round, with the remedy of these effects."""
     not_set: tuple[str, ...]
     """Keys of the remedy that this simulator's command cannot take."""
     log: str
@@ -49,7 +49,7 @@ class RoundResult:
 
     @property
     def left(self) -> tuple[str, ...]:
-        """Ids of the effects that still tell the flights apart."""
+        """Ids of the effects in which the flights still differ."""
         return tuple(effect["id"] for effect in self.effects if effect["material"])
 
     def as_json(self) -> Json:
@@ -84,7 +84,7 @@ class Outcome(StrEnum):
 
 _NO_MORE = (GapVerdict.NO_GAP, GapVerdict.EXPLAINED)
 _UNMOVED = 0.1
-"""Part of a value by which it must have changed to count as moved. Chosen, not measured: a remedy takes off more."""
+"""Relative change from which a value counts as moved. Chosen, not measured: a remedy changes more."""
 
 
 def outcome_of(results: Sequence[RoundResult], rounds: int) -> Outcome | None:
@@ -111,7 +111,7 @@ def _values(result: RoundResult) -> dict[tuple[str, ...], float]:
 
 
 def _unmoved(before: Mapping[tuple[str, ...], float], now: Mapping[tuple[str, ...], float]) -> bool:
-    """Whether every value is there as before; what is small beside the others does not count."""
+    """Whether every value is as before; values small beside the others do not count."""
     least = _UNMOVED * max(map(abs, now.values()))
     return before.keys() == now.keys() and all(
         abs(value - before[key]) <= _UNMOVED * abs(value) or max(abs(value), abs(before[key])) < least
@@ -172,7 +172,7 @@ def _untold(untested: NotTestable) -> str:
 
 
 def _matters(untested: NotTestable, report: GapReport) -> bool:
-    """Whether it says that flights, not single effects, could not be compared."""
+    """Whether flights as a whole, not single effects, could not be compared."""
     return untested.id == _AIRFRAME or not report.tested
 
 

@@ -18,9 +18,9 @@ _ELSEWHERE = ("sdf",)
 LOGGING: Mapping[str, float] = {
     "LOG_BITMASK": 407189, "LOG_DISARMED": 1, "LOG_FILE_DSRMROT": 0, "LOG_FILE_BUFSIZE": 8000,
 }  # fmt: skip
-"""ArduPilot: everything that a diagnosis needs, at full rate, with the rest before and after (AIRFRAME 3.1, and the
-compass); 8 MB for what the disk is behind, where 200 kB lose samples at twice real time. They stand before all others,
-so that whoever gives other values has them."""
+"""ArduPilot's logging of everything that a diagnosis needs: full rate, and the rest before and after the flight
+(AIRFRAME 3.1, and the compass). The buffer has 8 MB: 200 kB lose samples at twice real time. These come before all
+other parameters, so that given values override them."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class SimSettings:
 
 
 def read_settings(parameters: Path | None, frame: Mapping[str, Any] | None) -> SimSettings:
-    """The settings that the first round begins with; None: nothing is set.
+    """The settings of the first round; None: nothing is set.
 
     Raises
     ------

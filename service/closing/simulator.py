@@ -32,8 +32,8 @@ PLACEHOLDERS = {
     "speedup": "the speed",
     "here": "the folder in which mavcal was started",
 }
-"""Files are named relative to the folder of the round, in which the command runs: ArduPilot's simulator takes no
-absolute frame file."""
+"""Placeholders of the command. Files are relative to the folder of the round, where the command runs: ArduPilot's
+simulator takes no absolute frame file."""
 OUTPUT = "simulator.txt"
 """File in the folder of the round with what the simulator wrote."""
 LAST_LINES, LAST_BYTES = 12, 4000
@@ -139,7 +139,7 @@ class Simulator:
             raise SimulatorEnded(f"{self._name} ended {how} before its flight was over. Run the command by hand.")
 
     def last_lines(self) -> str:
-        """The end of what it wrote."""
+        """The last lines of its output."""
         try:
             with self._output.open("rb") as file:
                 file.seek(max(self._output.stat().st_size - LAST_BYTES, 0))
@@ -150,7 +150,7 @@ class Simulator:
         return "\n".join(f"  {line}" for line in lines[-LAST_LINES:])
 
     def stop(self) -> None:
-        """End the whole group: SIGTERM, a grace, SIGKILL; harmless if repeated."""
+        """End the process group: SIGTERM, a grace period, SIGKILL; harmless if repeated."""
         if self._stopped:
             return
         group = self._process.pid  # a session's leader gives its group its number

@@ -1,7 +1,7 @@
-"""The folder of a loop: what is kept of every round, so that a loop that was interrupted goes on where it was.
+"""The folder of a loop, with the data of every round, so that an interrupted loop can go on.
 
-``progress.json`` says whose loop it is and how far it is; ``round-N/flown.json`` that its flight is whole,
-``round-N/round.json`` what its diagnosis measured.
+``progress.json`` has the identity and the progress of the loop. ``round-N/flown.json`` marks a complete flight;
+``round-N/round.json`` has the result of its diagnosis.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from mavcal.service.closing.settings import SimSettings
 SCHEMA = "closing/1"
 PROGRESS, FLOWN, ROUND, DIAGNOSIS = "progress.json", "flown.json", "round.json", "diagnosis.json"
 _UNSAID = {"mission": MissionKind.STANDARD.value}
-"""Identity of a loop as far as folders of earlier versions do not state it."""
+"""Identity values of a loop that folders of earlier versions lack."""
 
 
 class WorkFolder:
     """The folder of one loop.
 
-    `identity` is what must be the same for its rounds to hold: flight, command, mission, settings at the start.
+    `identity` must be the same for its rounds to stay valid: flight, command, mission, initial settings.
 
     Raises
     ------
     OtherClosing
-        If it is that of another one.
+        If the folder belongs to another loop.
     WorkFolderUnusable
         If it cannot be made.
     """
@@ -57,12 +57,12 @@ class WorkFolder:
 
     @contextmanager
     def owned(self) -> Iterator[None]:
-        """While the loop runs: nobody else may, and what cannot be written is said.
+        """Own the folder while the loop runs, and report what cannot be written.
 
         Raises
         ------
         OtherClosing
-            If another process is at it.
+            If another process owns it.
         WorkFolderUnusable
             If something cannot be written there.
         """
@@ -120,14 +120,14 @@ class WorkFolder:
         return folder
 
     def keep_flown(self, number: int, settings: SimSettings, flown: Flown) -> None:
-        """The flight of a round is whole."""
+        """Store that the flight of a round is complete."""
         folder = self.round_folder(number)
         log = str(flown.log.relative_to(folder))
         kept = {"log": log, "settings": settings.as_json(), "notes": list(flown.notes)}
         write_json(folder / FLOWN, kept)
 
     def keep(self, result: RoundResult, diagnosis: Json) -> None:
-        """Write the diagnosis of a round and what came of it."""
+        """Write the diagnosis of a round and its result."""
         folder = self.round_folder(result.number)
         write_json(folder / DIAGNOSIS, diagnosis)
         write_json(folder / ROUND, result.as_json())
@@ -139,7 +139,7 @@ class WorkFolder:
 
 
 def read_json(file: Path) -> Json | None:
-    """The object in `file`; None if it is not there or not whole."""
+    """The object in `file`; None if it is missing or incomplete."""
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Connects live commands to a service: one that runs elsewhere, or the application in this process.
+"""Connects live commands to a service: a running one, or the application in this process.
 
 Ctrl-C and SIGTERM end a command in an orderly way: its task is cancelled, and says what it leaves behind.
 """
@@ -27,13 +27,13 @@ T = TypeVar("T")
 
 COMMAND = "command line"
 OPERATOR = "operator"
-"""Who asks, in what is kept of a write; a service that runs elsewhere keeps the name of the key."""
+"""Name of the operator in the record of a write; a remote service records the name of the key."""
 ANSWER_S = 600.0
-"""How long an answer may take: a preflight that first calibrates takes minutes."""
+"""Longest wait for an answer, s: a preflight that first calibrates takes minutes."""
 CLEANUP_S = 30.0
 """How long the vehicle may take to confirm its old message rates, and to be looked at after a write."""
 HURRY_S = 5.0
-"""The same for a run that was told to stop."""
+"""The same limit for a run that was told to stop."""
 _LOOK_S = 0.1
 
 
@@ -81,8 +81,8 @@ class Door:
     async def wait_for_cleanup(self, seconds: float = CLEANUP_S, *, written: str | None = None) -> None:
         """Wait until the old message rates are back, for a limited time; the next run returns what is left.
 
-        `written` is a job after whose write the vehicle is looked at: a service that runs elsewhere sees to the rates
-        itself, and is waited for until it has looked.
+        `written` is a job after whose write the vehicle is checked. A service elsewhere restores the rates itself, and
+        is awaited until that check is done.
         """
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):

@@ -82,7 +82,7 @@ def command_of(method: Method) -> click.Command:
 
 
 def _print_fits(fits: tuple[FitResult, ...], convention: str | None, failed: str, *, as_json: bool) -> None:
-    """Show the fits; `failed` says why they were not exported."""
+    """Print the fits; `failed` says why they were not exported."""
     if failed:
         click.echo(f"mavcal: {failed}", err=True)
     forms = [None if convention is None else _converted(fit, convention) for fit in fits]
@@ -97,7 +97,7 @@ def _print_fits(fits: tuple[FitResult, ...], convention: str | None, failed: str
 
 
 def _converted(fit: FitResult, convention: str) -> Converted | None:
-    """The fit in that form; None: it is refused."""
+    """The fit in that convention; None: it was refused."""
     return None if fit.status == FitStatus.REFUSED else converted(fit, convention)
 
 
@@ -135,7 +135,7 @@ def require_exportable(method: Method, out: Path) -> None:
 
 
 def require_correction(method: Method) -> None:
-    """Refuse another's form of what is no correction."""
+    """Refuse another convention for a result that is no correction."""
     if method.finds in {FindingKind.FIGURES, FindingKind.MOTORS}:
         raise click.UsageError(f"--as: {method.name} finds {method.finds}, which has no other form. --json tells it")
 

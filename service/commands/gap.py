@@ -204,7 +204,7 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effects(report: GapReport) -> None:
-    """Print effects of airframe and air, each under a heading; those of sensors too where they are not alone."""
+    """Print effects of airframe and air, each under a heading; also those of sensors if there are others."""
     from mavcal.calib.airframe.answer import Domain
     from mavcal.calib.gap_report.airframe_words import groups
 
@@ -258,7 +258,7 @@ command.add_command(selftest, "selftest")
 
 
 def effect_lines(effect: EffectEstimate) -> list[str]:
-    """An effect of airframe or air: what was found, how sure that is, its numbers, and its rivals."""
+    """Lines on an effect of airframe or air: the finding, its certainty, its numbers, and its rivals."""
     from mavcal.calib.gap_report.airframe_effects import claims, rival_phrase
     from mavcal.calib.gap_report.words import chance, effect_phrase, held_out
 
@@ -289,7 +289,7 @@ def remainder_lines(left: Left) -> Iterator[str]:
 
 
 def flight_lines(part: AirframePart) -> Iterator[str]:
-    """How far the prediction improves, what to fly next, and whence frame and commands are known."""
+    """Lines on the gain in prediction, the next flight, and the source of frame and commands."""
     from mavcal.calib.gap_report.airframe_words import commands_sentence, geometry_sentence
 
     if part.rollout:
@@ -317,7 +317,7 @@ def _table(rollouts: Iterable[Rollout]) -> Iterator[str]:
 
 
 def wrapped(text: str, indent: str = "  ") -> list[str]:
-    """A text in lines, the further ones two columns deeper; words are never broken."""
+    """A text in lines, the further ones indented by two more columns; words are not broken."""
     return textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=f"{indent}  ", break_long_words=False,
         break_on_hyphens=False,

@@ -1,4 +1,4 @@
-"""Running a campaign: cases to files, files to child processes, answers beside their labels."""
+"""Runs a campaign: writes cases to files, has child processes diagnose them, and pairs answers with labels."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ Json = dict[str, Any]
 TIMEOUT_S = 300.0
 """Limit for a case of one minute, with room for a busy machine."""
 MEMORY_BYTES = 1 << 32
-"""More than a service gives a diagnosis: a case of a campaign must not fail of it."""
+"""Memory limit of a case; more than in a service, so that no case fails for lack of memory."""
 
 
 @dataclass(frozen=True)
 class Diagnoser:
-    """Has files diagnosed by processes that see their random names and nothing else."""
+    """Has files diagnosed by processes that see only their random names."""
 
     children: Children
     limits: Limits
 
     async def ask(self, order: Mapping[str, Any]) -> Json:
-        """``{report, seconds}`` or ``{error, seconds}``: whatever goes wrong in the diagnosis is an answer too.
+        """``{report, seconds}`` or ``{error, seconds}``: an error in the diagnosis is an answer too.
 
         `order` is that of :func:`service.children.tasks.diagnose`.
         """
@@ -94,9 +94,9 @@ async def _drive(
 
 
 async def one(diagnosing: Diagnoser, case: Case | AirCase, folder: Path, *, nested: bool) -> Json:
-    """Write the pair of files, have it diagnosed, and put the answer beside the label.
+    """Label and answer of one case, written to a pair of files and diagnosed.
 
-    A table cannot say the layout of the motors: the order does.
+    A table cannot state the layout of the motors, so the order does.
     """
     paths = {side: folder / f"{case.id}_{side}.npz" for side in ("real", "sim")}
     for side, columns in (("real", case.real), ("sim", case.sim)):

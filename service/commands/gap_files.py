@@ -1,4 +1,4 @@
-"""The files of a gap diagnosis: each read with the options that apply to it; what is written beside the answer."""
+"""The files of a gap diagnosis: input, read with the options that apply to each, and exports."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Files:
 
 @dataclass(frozen=True)
 class Remedy:
-    """Whom every export is for (None: its ending says), of which instance, and what is known beside the recordings.
+    """Target of every export (None: by its suffix), its instance, and facts besides the recordings.
 
     `mass` is the real vehicle's, kg; `frame` holds the keys that ArduPilot's simulator flew with.
     """
@@ -45,7 +45,7 @@ class Remedy:
 def read_files(
     real: str, sim: str | None, nominal: Sequence[str], again: str | None, reading: Mapping[str, Any]
 ) -> Files:
-    """Read every file; the reading options are of `real`, and of the others as far as they are tables."""
+    """Every file; the reading options apply to `real`, and to the others if they are tables."""
     from mavcal.calib import logs
 
     mapping = reading["sim_mapping"]
@@ -98,7 +98,7 @@ def write_page(report: GapReport, title: str, out: Path) -> None:
 
 
 def check_exports(outs: Sequence[Path], target: str | None) -> None:
-    """Refuse names that no export can have, before anything is computed.
+    """Refuse invalid names of exports, before anything is computed.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def check_exports(outs: Sequence[Path], target: str | None) -> None:
 
 
 def check_folders(outs: Sequence[Path]) -> None:
-    """Refuse files whose folder is not there, before minutes are spent on what could not be written.
+    """Refuse files in missing folders, before minutes are spent on computing.
 
     Raises
     ------

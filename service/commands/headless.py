@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from mavcal.service.jobs.core.states import JobState
 
 QUIET_S = 3.0
-"""A vehicle that is not heard by then is said to be waited for."""
+"""Silence after which the wait for a vehicle is reported, s."""
 DOUBT_S = 120.0
-"""How long a job in doubt is waited for; the next run on this data directory goes on with it."""
+"""How long a job in doubt is awaited, s; the next run on this data directory continues it."""
 LOOK_S = 0.05
 """Period of the question whether a vehicle has been heard, s."""
 PAGE = 1000
@@ -92,8 +92,8 @@ async def follow(
 ) -> JobModel:
     """Show what happens after that time until the job rests, or stays in doubt for too long.
 
-    `since` is in s since 1970, by the clock of the service. What is in doubt is said once, however often the vehicle
-    falls silent and comes back.
+    `since` is in s since 1970, by the clock of the service. A doubt is reported once, however often the vehicle falls
+    silent and comes back.
     """
     from mavcal.service.jobs.core.states import JobState
 
@@ -126,7 +126,7 @@ async def follow(
 
 
 def answering(client: AsyncClient, job_id: str, screen: Screen) -> Answer:
-    """Takes what is typed to a job; what the job does not take is shown."""
+    """Passes typed lines to a job, and shows its refusals."""
 
     async def answer(line: str) -> None:
         try:
@@ -163,9 +163,9 @@ async def left_over(door: Door) -> list[UnfinishedModel]:
 async def recovered(
     door: Door, vehicle: VehicleModel, left: Sequence[UnfinishedModel], screen: Screen, *, doubt_s: float = DOUBT_S
 ) -> tuple[UnfinishedModel, ...]:
-    """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards.
+    """Jobs of earlier runs on this vehicle, after they were finished.
 
-    `left` is what they left, as it was when the service began: it goes on by itself once the vehicle is heard.
+    `left` are these jobs as they were when the service began; they go on by themselves once the vehicle is heard.
     """
     client, ended = door.client, []
     for found in left:
@@ -215,7 +215,7 @@ class Begun:
 
     job: JobModel
     since: float = 0.0
-    """Events up to then belong to what went before, s since 1970 by the clock of the service."""
+    """Time up to which events are older than this command, s since 1970 by the clock of the service."""
     ours: bool = True
     """Whether this command has started it, and may cancel it."""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 HEAD, HEALTH, CHANNELS, REST, FLIGHT, NEXT = 6, 13, 6, 4, 6, 4
-"""Lines of each part where not all are asked for; their sum leaves one for what is left out."""
+"""Most lines of each part in the short form; their sum leaves one line for what is left out."""
 _BAD = frozenset({"faulty", "suspicious"})
 _GOOD = frozenset({"ok", "pass"})
 
@@ -98,7 +98,7 @@ def _show_table(files: Sequence[str], reading: Mapping[str, Any], *, as_json: bo
 
 
 def inspection_lines(document: Mapping[str, Any], *, whole: bool = False) -> list[str]:
-    """The lines of an inspection; in short what is sound is named in a line, and the last one says how much is left."""
+    """The lines of an inspection; the short form names sound parts in one line, and ends with a count of the rest."""
     parts = (
         (HEAD, _head(document)),
         (HEALTH, _health(document["health"], whole=whole)),
@@ -125,7 +125,7 @@ def inspection_lines(document: Mapping[str, Any], *, whole: bool = False) -> lis
 
 
 def _wrapped(text: str, indent: str = "  ", hang: int = 2) -> list[str]:
-    """One entry, wrapped at words; its further lines stand `hang` deeper."""
+    """One entry, wrapped at words; its further lines are indented by `hang` more."""
     return textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent + " " * hang, break_long_words=False,
         break_on_hyphens=False,
@@ -145,7 +145,7 @@ def _head(document: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _health(health: Mapping[str, Any] | None, *, whole: bool) -> list[list[str]]:
-    """Every sensor with what speaks against it; in short those that are sound share a line."""
+    """Every sensor with its faults; in the short form the sound ones share a line."""
     if health is None:
         return []
     entries: list[list[str]] = []
@@ -219,7 +219,7 @@ def _flight(flight: Mapping[str, Any] | None, *, whole: bool) -> list[list[str]]
 
 
 def _steps(steps: Sequence[Mapping[str, Any]], *, whole: bool) -> list[list[str]]:
-    """Lines on the fits that are worthwhile; those that are not are left out in short."""
+    """Lines on the fits; the short form has only the worthwhile ones."""
     entries = []
     for step in steps:
         if step["worthwhile"] or whole:

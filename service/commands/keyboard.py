@@ -12,7 +12,7 @@ Answer = Callable[[str], Coroutine[Any, Any, None]]
 
 
 class Keyboard:
-    """Hands every typed line to this command's own question if it has asked one, else to the job's prompt."""
+    """Passes every typed line to this command's own question if there is one, else to the job's prompt."""
 
     def __init__(self, *, there: bool) -> None:
         self.there = there

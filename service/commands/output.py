@@ -1,4 +1,4 @@
-"""How commands answer: one JSON object on stdout with ``--json``, text without; logs and errors on stderr."""
+"""Output of commands: one JSON object on stdout with ``--json``, otherwise text; logs and errors on stderr."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ EXIT_NO = 1
 EXIT_USAGE = 2
 """Wrong use or unreadable input."""
 EXIT_PART = 3
-"""Done in part: a sensor left out, a proof that is partial where a full one was asked, a check that says neither."""
+"""Done in part: a sensor left out, a partial proof where a full one was asked for, or an undecided check."""
 
 WRONG_USE = frozenset({401, 403, 422, 429})
-"""Statuses of problems that lie in how it was asked; every other one is the answer no."""
+"""HTTP statuses that mean wrong use; every other problem is the answer no."""
 
 
 class AnsweredNo(click.ClickException):
@@ -33,7 +33,7 @@ class AnsweredNo(click.ClickException):
 
 
 def refused(problem: ApiProblem) -> AnsweredNo:
-    """A service said no."""
+    """The error for a service's refusal."""
     code = EXIT_USAGE if problem.status in WRONG_USE else EXIT_NO
     return AnsweredNo(problem.code or "problem", problem.detail or str(problem), code)
 
@@ -47,7 +47,7 @@ def wants_json(arguments: Sequence[str]) -> bool:
 
 
 def write_json(document: Mapping[str, Any]) -> None:
-    """Print one JSON object; what is not finite becomes null."""
+    """Print one JSON object; non-finite numbers become null."""
     from mavcal.calib.report import to_json  # brings numpy, which help and versions do without
 
     click.echo(json.dumps(to_json(document), allow_nan=False))

@@ -20,7 +20,7 @@ _NAMED = re.compile(r"`mavcal ([a-z][^`]*)`")
 
 @dataclass(frozen=True)
 class CommandPlace:
-    """The options of a command that its successors need; None: it was run without."""
+    """The options of a command that the next commands need; None: not given."""
 
     connect: str | None = None
     data_dir: Path | None = None
@@ -29,7 +29,7 @@ class CommandPlace:
     vehicle: str | None = None
 
     def completed(self, text: str) -> str:
-        """`text` with these options added to every command in it that takes them and does not have them."""
+        """`text` with these options added to every command in it that accepts them but lacks them."""
         return _NAMED.sub(lambda named: f"`mavcal {self._with_options(named[1])}`", text)
 
     def _with_options(self, words: str) -> str:

@@ -26,7 +26,8 @@ FIXABLE = ("gyro", "level")
 """Those of ``service.fixing``, stated here so that help does without it (a test compares them)."""
 
 STILL_LOOKING_S = (9.5, 19.0)
-"""A healthy vehicle on a good link is answered before the first of these; no command is silent for longer than 10 s."""
+"""Times at which a running preflight says so, s. A healthy vehicle on a good link is done before the first; no command
+is silent for longer than 10 s."""
 
 
 @click.command()
@@ -91,7 +92,7 @@ async def _checked(door: Door, vehicle: VehicleModel, screen: Screen, *, wish: _
     fixed = await _fixed(door, vehicle, wish.kinds, screen)
     for fix in fixed:
         screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
-    with _said_meanwhile(screen):
+    with _reporting_progress(screen):
         found = await door.client.run_preflight(vehicle.id, heading=wish.heading)
     return found.model_copy(update={"fixed": fixed})
 
@@ -112,8 +113,8 @@ async def _fixed(door: Door, vehicle: VehicleModel, kinds: Sequence[str], screen
 
 
 @contextmanager
-def _said_meanwhile(screen: Screen) -> Iterator[None]:
-    """Say every few seconds that the preflight goes on."""
+def _reporting_progress(screen: Screen) -> Iterator[None]:
+    """Report every few seconds that the preflight goes on."""
     loop = asyncio.get_running_loop()
     text = "    still looking, for 30 s at most: the link is slow, or the vehicle has just started"
     reminders = [loop.call_later(after, screen.line, text) for after in STILL_LOOKING_S]
@@ -165,7 +166,7 @@ def show(found: PreflightModel | Refusal, title: str = "", place: CommandPlace =
 
 
 def _number(check: CheckModel) -> str:
-    """Value, uncertainty and limit of a check that passes; the reasons of the others say them."""
+    """Value, uncertainty and limit of a passed check; the reasons of other checks state them."""
     if check.value is None or not check.limit or check.verdict.value != "pass":
         return ""
     sd = "" if not check.sd else f" ± {check.sd:.1g}"

@@ -22,7 +22,7 @@ _NO_FILES = (
     (stat.S_ISCHR, "a device: connect to a serial port with --connect, or give a file"),
     (stat.S_ISBLK, "a disk: give a file on it"),
 )
-"""Kinds of paths without an end: a pipe may wait for ever, a device may never stop."""
+"""Kinds of paths without a known end: a pipe may block for ever, a device may never stop."""
 
 
 def parse_mapping(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:

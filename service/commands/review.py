@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     """Makes the job, or takes one up. Raises ServiceError."""
 
 PATIENCE_S = 10.0
-"""How long a write waits for the vehicle to be writable."""
+"""Longest wait of a write for the vehicle to be writable, s."""
 YES = frozenset({"yes", "y"})
 
 
@@ -156,7 +156,7 @@ class _Run:
 
 
 async def writable(client: AsyncClient, vehicle: VehicleModel, wait: float) -> None:
-    """Give the vehicle time to have been disarmed for long enough; what else stands in the way is said by apply."""
+    """Give the vehicle time to have been disarmed for long enough; other obstacles are reported by apply."""
     with suppress(TimeoutError):
         async with asyncio.timeout(min(wait, PATIENCE_S)):
             while not (await client.get_vehicle(vehicle.id)).writable:  # noqa: ASYNC110 - time alone changes it

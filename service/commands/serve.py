@@ -85,7 +85,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     url = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
 
     class Server(uvicorn.Server):
-        """Answers for the page first, then loads the service and runs it; what keeps it from running is raised."""
+        """Answers requests for the page first, then loads and runs the service; errors at that are raised."""
 
         def __init__(self, doorway: Doorway) -> None:
             super().__init__(server_config(doorway, settings.limits, lifespan="off"))
@@ -126,7 +126,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
 
 def _load(settings: Settings) -> tuple[FastAPI, Callable[[Settings], AbstractAsyncContextManager[Service]]]:
-    """The application and what runs its service: most of a start."""
+    """The application and the runner of its service; loading them takes most of a start."""
     with loading():
         from mavcal.calib.procedures.registry import load_procedures
         from mavcal.service.app import create_app
@@ -137,7 +137,7 @@ def _load(settings: Settings) -> tuple[FastAPI, Callable[[Settings], AbstractAsy
 
 
 def _ended(_number: int, _frame: object) -> NoReturn:
-    """A service that was asked to end, and has, ends with exit code 0: what started it sees no failure."""
+    """End a service that was asked to stop with exit code 0, so that its supervisor sees no failure."""
     sys.exit(0)
 
 

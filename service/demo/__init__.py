@@ -1,1 +1,1 @@
-"""``mavcal demo``: the main job end to end against a simulated vehicle, through the REST API alone."""
+"""``mavcal demo``: a calibration end to end on a simulated vehicle, through the REST API alone."""

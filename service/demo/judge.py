@@ -1,4 +1,4 @@
-"""Compares what a calibrated vehicle holds with what is true: per sensor, and all together."""
+"""Compares the calibration in a vehicle with the truth: per sensor, and all together."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SYMMETRIC = ("matrix_xx", "matrix_xy", "matrix_xz", "matrix_yy", "matrix_yz", "m
 LARGEST_Z = 4.5
 SMALLEST_P = 1e-4
 TOO_LARGE = 2.0
-"""Stated over actual errors, rms. A part of every sd is for what this vehicle may not have: a field that moves within a
-reading, coarse steps, a bias that wanders."""
+"""Largest ratio of stated to actual errors, rms. The stated ones include effects that this vehicle may lack: a field
+that changes within a reading, coarse steps, a drifting bias."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class SensorReport:
     before: float
     after: float
     cross: float
-    """What the firmware cannot hold of the true calibration, same unit."""
+    """Part of the true calibration that the firmware cannot represent, same unit."""
     unit: str
     score: RecoveryScore
     drift: bool = False
-    """Whether it is the change with temperature that was calibrated."""
+    """Whether the temperature drift was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class DemoJudgement:
 
     @property
     def farthest(self) -> tuple[str, ...]:
-        """The five written parameters that are most standard deviations off, in words."""
+        """The five written parameters farthest from the truth in standard deviations, in words."""
         errors = [
             (float(z), f"{name} of {r.sensor.value} {r.instance}")
             for r in self.reports
@@ -72,13 +72,13 @@ class DemoJudgement:
 
     @property
     def honest(self) -> bool:
-        """Whether the stated uncertainty is true: neither too small nor too large."""
+        """Whether the stated uncertainty is right: neither too small nor too large."""
         chi2, freedom, p = self.joint
         return self.largest_z <= LARGEST_Z and p >= SMALLEST_P and chi2 * TOO_LARGE**2 >= freedom
 
 
 def true_model(truth: Json, sensor: Sensor, instance: int) -> TriadModel:
-    """The sensor as the simulator made it, in its own frame."""
+    """The true model of a simulated sensor, in its own frame."""
     entry = truth[f"{sensor.value}s"][instance]
     matrix = np.linalg.inv(np.array(entry["matrix"]))
     offset = np.array(entry["offset"])
@@ -130,7 +130,7 @@ def judge(
 
 
 def _largest_error(held_model: TriadModel, true: TriadModel, fit: FitResult, truth: Json) -> float:
-    """Largest error of what the vehicle believes, over directions, and over temperature for a thermal fit.
+    """Largest error of the vehicle's calibration, over directions, and over temperature for a thermal fit.
 
     A rotation that is common to all directions is levelling, not calibration: both are compared in symmetric form.
     """

@@ -1,4 +1,4 @@
-"""The demonstration: one vehicle, four calibrations, and the verdict of the simulator's own truth."""
+"""The demonstration: one vehicle, four calibrations, and a comparison with the simulator's truth."""
 
 from __future__ import annotations
 
@@ -37,15 +37,17 @@ NAMES = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass", "thermal": 
 SPEED = 30.0
 """Vehicle seconds per wall second."""
 WRITING_SPEED = 4.0
-"""While parameters are written and proved: what happens on the wall clock must not look like hours to the sensors."""
+"""Vehicle seconds per wall second while parameters are written and proved, so that wall-clock delays do not become
+hours for the sensors."""
 START_C, END_C, SPAN_C = 22.0, 75.0, 48.0
 PROOF_C = 68.0
-"""Where the warmed vehicle is held for the proof: inside the calibrated range, and away from its reference."""
+"""Temperature of the warmed vehicle during the proof, degC: inside the calibrated range, and away from its
+reference."""
 PROVE_S = 240.0
 """How long the vehicle may take for the movements that prove the rest, seconds of its clock."""
 SHOWS = 5.0
-"""Standard deviations of the check: a parameter whose change shows that much must be proved. The vehicle starts with an
-older calibration, and some of its values have hardly changed."""
+"""Change from which a parameter must be proved, in standard deviations of the check. The vehicle starts with an older
+calibration, and some of its values have hardly changed."""
 PATIENCE_S = 60.0 * SPEED
 """How long a job waits for the next movement, seconds of the vehicle: a minute of ours at this speed."""
 READY_S = 10.0
@@ -55,7 +57,8 @@ OPTIONS: Mapping[str, Json] = {
     "thermal": {"patience": PATIENCE_S, "span": SPAN_C, "extend": False},
 }
 BARE: Mapping[str, Json] = {"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}}
-"""Settings under which a vehicle keeps what is written: ArduPilot calibrates its gyros at every boot, PX4 always."""
+"""Settings that keep a vehicle from overwriting parameters: ArduPilot calibrates its gyros at every boot, PX4
+always."""
 ENDED = frozenset(
     {
         JobState.SUCCEEDED,
@@ -205,7 +208,7 @@ class _Demo:
         return stored
 
     def _calibrate(self, vehicle_id: str, kind: str) -> tuple[JobModel, Json]:
-        """The job as it ended, and the truth of the time in which its samples were taken."""
+        """The ended job, and the truth over the time of its samples."""
         self._screen.begin(NAMES[kind])
         job = _when_ready(lambda: self._client.start_job(vehicle_id, kind=kind, options=OPTIONS.get(kind, {})))
         state = self._follow(job.id, until={JobState.REVIEW} | ENDED)
@@ -214,7 +217,7 @@ class _Demo:
             raise DemoError(_why(job))
         self._show_plan(job.plan)
         qualities = [fit.quality for fit in job.results]
-        # Before a reboot begins the vehicle's time again.
+        # Before a reboot restarts the vehicle's time.
         truth = self._vehicle.truth(*sampled(self._tlogs, job.segments, qualities))
         if state == JobState.SUCCEEDED:  # what the vehicle found out by itself is as good: nothing to write
             return job, truth
@@ -230,7 +233,7 @@ class _Demo:
         return job, truth
 
     def _written(self, job: JobModel, digest: str) -> JobState:
-        """The state in which the job ends; the plan is applied again where the vehicle was not ready for it yet."""
+        """The state in which the job ends; the plan is applied again if the vehicle was not ready yet."""
         until = time.monotonic() + READY_S
         for times in itertools.count(1):
             self._apply(job, digest, f"{job.id}-{times}")
@@ -292,7 +295,7 @@ class _Demo:
 
 
 def _when_ready(ask: Callable[[], T]) -> T:
-    """The answer; asked again for a while where the vehicle was armed a moment ago, or is late on a busy machine."""
+    """The answer, requested again for a while if the vehicle was just armed, or is late on a busy machine."""
     until = time.monotonic() + READY_S
     while True:
         try:
@@ -304,7 +307,7 @@ def _when_ready(ask: Callable[[], T]) -> T:
 
 
 def _ended(job: JobModel) -> str:
-    """A calibration in a few words."""
+    """Summary of a calibration in a few words."""
     if job.verification is None or job.plan is None:
         return "nothing to write: what is in force is right"
     written = f"{len(job.plan.changes)} parameters written"
@@ -315,7 +318,7 @@ def _ended(job: JobModel) -> str:
 
 
 def _rows(reports: Sequence[SensorReport]) -> list[tuple[str, str, str, str]]:
-    """A row a sensor; of a kind of drift the worst sensor."""
+    """A row for each sensor; for drift, only the worst sensor of each kind."""
     rows: list[tuple[str, str, str, str]] = []
     drifts: dict[str, SensorReport] = {}
     for report in reports:
@@ -330,7 +333,7 @@ def _rows(reports: Sequence[SensorReport]) -> list[tuple[str, str, str, str]]:
 
 
 def sampled(tlogs: Path, segments: Iterable[SegmentModel], qualities: Sequence[Json]) -> tuple[float, float]:
-    """From when to when, in vehicle seconds, the inertial samples of a job with these fits were taken.
+    """Start and end of the inertial samples of a job with these fits, vehicle seconds.
 
     A bias wanders, and on a busy machine minutes of a fast vehicle pass before a capture begins and after it has ended.
     """
@@ -362,7 +365,7 @@ def _report_document(report: SensorReport) -> Json:
 
 
 def _outcome_text(job: JobModel) -> str:
-    """What the job says of its end."""
+    """The outcome of a job in words."""
     if job.outcome is None:
         return "no outcome"
     return job.outcome.text if isinstance(job.outcome, ResultModel) else f"{job.outcome.cause} {job.outcome.remedy}"

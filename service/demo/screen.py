@@ -1,4 +1,4 @@
-"""The demonstration on a terminal: one live bar a calibration, a table at the end; every step if it is asked for."""
+"""The demonstration on a terminal: a live bar for each calibration, a final table, and every step if verbose."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class DemoScreen:
             self.line(f"    {text}")
 
     def begin(self, name: str) -> None:
-        """A calibration begins."""
+        """Show the beginning of a calibration."""
         self._name, self._asked = name, ""
         if self._verbose:
             self.line()
@@ -55,7 +55,7 @@ class DemoScreen:
             self._bar(0.0, "starts")
 
     def end(self, text: str, *, good: bool) -> None:
-        """It has ended, with this result."""
+        """Show the end of the calibration, with its result."""
         if self._quiet:
             return
         if self._terminal and not self._verbose:
@@ -66,18 +66,18 @@ class DemoScreen:
         click.echo(f"  {self._name:<{NAME}} {sign}  {text}", err=True)
 
     def prompt(self, text: str) -> None:
-        """What is done with the vehicle now; said once, although its details may change."""
+        """Show the present prompt, once even if its details change."""
         if self._verbose and text != self._asked:
             self.line(f"  > {text}", bold=True)
         self._asked = text
 
     def progress(self, progress: Mapping[str, Any]) -> None:
-        """How far the calibration is."""
+        """Show the progress of the calibration."""
         target = progress["target"] or 1.0
         self._bar(min(max(progress["current"] / target, 0.0), 1.0), progress["text"])
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Columns under their names: the first one left, numbers right."""
+        """Print a table with headings: the first column left-aligned, numbers right-aligned."""
         widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
         for at, row in enumerate([head, *rows]):
             cells = [
@@ -102,12 +102,12 @@ class DemoScreen:
 
 
 def _columns() -> int:
-    """Letters that fit a line: one less than the terminal has, which would begin the next line after its last."""
+    """Usable width of a line: one less than the terminal's, since a full line would wrap."""
     return shutil.get_terminal_size().columns - 1
 
 
 def called(program: str = sys.argv[0]) -> str:
-    """How the next command begins in the shell that has started `program`, this one."""
+    """First words of a further command in the shell that started `program`."""
     if Path(program).stem != "mavcal":
         return f"{sys.executable} -m mavcal"
     found = shutil.which("mavcal")

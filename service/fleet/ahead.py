@@ -1,4 +1,4 @@
-"""Computes the trends of a fleet before anybody asks: each takes 10 ms of processor time, and a fleet has thousands."""
+"""Computes the trends of a fleet in advance: each takes 10 ms of processor time, and a fleet has thousands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PERIOD_S = 30.0
 
 @dataclass
 class TrendsAhead:
-    """Computes the trends that are not known yet, at most half of the time; `measured` grows with new ones."""
+    """Computes missing trends, for at most half of the time; `measured` grows with new measurements."""
 
     store: Store
     measured: Callable[[], int]

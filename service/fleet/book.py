@@ -1,4 +1,4 @@
-"""Keeps the fleet: records of jobs and preflights as they end, names and tags as people give them."""
+"""Keeps the records of the fleet: those of ended jobs and preflights, and names and tags given by people."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from mavcal.service.vehicle.registry import VehicleRegistry
 log = structlog.get_logger(__name__)
 
 PREFLIGHTS_KEPT = 60
-"""Preflights of a unit whose readings are kept: no trend takes more."""
+"""Number of preflights of a unit whose readings are kept; no trend uses more."""
 _DECIDED = frozenset({JobState.SUCCEEDED, JobState.IN_DOUBT, JobState.ROLLING_BACK, JobState.REVERTED})
 """States of a job whose write is over, or being taken back."""
 
 
 class FleetBook:
-    """What the service writes down about units; what it reads comes straight from the store."""
+    """Writes the records of units; reading goes directly to the store."""
 
     def __init__(self, store: Store, vehicles: VehicleRegistry) -> None:
         self._store = store
@@ -61,7 +61,7 @@ class FleetBook:
                 self.job_ended(job)
 
     def job_ended(self, job: Job) -> None:
-        """A job's task is over: take what it measured, or forget it if it is taken back or in doubt."""
+        """Store the measurements of an ended job, or drop them if its write is taken back or in doubt."""
         if job.vehicle_id is not None and job.plan is not None and job.state in _DECIDED:
             self._store.soon(partial(self._kept, partial(self._take, job)))
 
@@ -74,14 +74,14 @@ class FleetBook:
         self._store.add_sensor_records(job.id, rows)
 
     def _kept(self, write: Callable[[], None]) -> None:
-        """The fleet is a record beside the jobs: what fails is taken up at the next start."""
+        """Write a record; a failure does no harm to the job, and is made good at the next start."""
         try:
             write()
         except Exception as error:  # noqa: BLE001 - of any kind: no calibration may suffer from it
             log.error("the fleet's record could not be kept", reason=str(error), kind=type(error).__name__)
 
     async def keep_preflight(self, found: Preflight) -> Preflight:
-        """Keep a report as the unit's last one; that it could not be kept is one of its notes."""
+        """Store a report as the unit's last one; a failure becomes one of its notes."""
         rows = [sensor_row(r) for r in records_of_preflight(found, f"preflight-{uuid.uuid4().hex[:12]}")]
 
         def keep() -> None:

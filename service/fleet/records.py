@@ -25,11 +25,11 @@ from mavcal.service.store.sql import Store
 log = structlog.get_logger(__name__)
 
 REST = "rest"
-"""What a preflight is as a measurement of a sensor."""
+"""Name of a preflight as a measurement of a sensor."""
 
 
 def records_of_job(job: Job, store: Store) -> tuple[SensorRecord, ...]:
-    """What a calibration that succeeded says of its sensors. Reads the store: not for the event loop."""
+    """Records of the sensors from a successful calibration. Reads the store: not for the event loop."""
     left = next(iter(history_of((job,), store)), None)
     if left is None or job.plan is None or job.vehicle_id is None:
         return ()
@@ -68,7 +68,7 @@ def _of_fit(job: Job, fit: FitResult, left: VerifiedCalibration) -> SensorRecord
 
 
 def records_of_preflight(found: Preflight, source_id: str) -> tuple[SensorRecord, ...]:
-    """What the inertial units read while the vehicle was looked at."""
+    """Records of the inertial units from a preflight."""
     return tuple(
         SensorRecord(
             found.vehicle_id,

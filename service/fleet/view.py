@@ -1,4 +1,4 @@
-"""The fleet as rows: filtered, sorted, a page at a time."""
+"""The fleet as rows: filtered, sorted and in pages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _trend = lru_cache(maxsize=16384)(bias_trend)  # a trend rests on its measuremen
 
 
 class FleetOrder(StrEnum):
-    """What rows are ordered by; what has no such value comes last."""
+    """Sort key of rows; rows without such a value come last."""
 
     NAME = "name"
     VERDICT = "verdict"
@@ -51,7 +51,7 @@ class FleetUnit:
     firmware: str
     seen_at: float | None
     presence: Presence | None
-    """None: not on a link, or nobody looked."""
+    """None: not on a link, or not checked."""
     standing: UnitStanding
     report: PreflightRow | None
     """The last preflight as it was kept."""
@@ -83,7 +83,7 @@ class FleetUnit:
 
 @dataclass(frozen=True)
 class Choice:
-    """Which rows are wanted; None: all."""
+    """Filter of rows; None: all."""
 
     verdict: frozenset[str] = field(default_factory=frozenset)
     """Verdicts of the last preflight, or ``none``; empty: any."""
@@ -151,7 +151,7 @@ def fleet_units(rows: FleetRows, present: Mapping[str, Presence], now: float) ->
 def chosen(
     units: Sequence[FleetUnit], choice: Choice, order: FleetOrder = FleetOrder.NAME, *, descending: bool = False
 ) -> tuple[FleetUnit, ...]:
-    """The rows that are wanted, ordered; `descending` turns the values round, and what has none stays last."""
+    """The chosen rows in order; `descending` reverses it, except that rows without a value stay last."""
     taken = [row for row in units if choice.takes(row)]
     if order is FleetOrder.NAME:
         return tuple(reversed(taken)) if descending else tuple(taken)

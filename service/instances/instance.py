@@ -1,4 +1,4 @@
-"""One instance among others: keeps its leases, gives up what it lost, and takes over what nobody owns.
+"""One instance among others: keeps its leases, gives up lost ones, and takes over free subjects.
 
 It makes a round every quarter of a lease, and as soon as a vehicle has said who it is. Job events of all instances are
 repeated here: read from the database, in their order, as they come. Jobs of a vehicle go with its lease; a job without
@@ -34,26 +34,26 @@ log = structlog.get_logger(__name__)
 
 FILE = "instance"
 PERIOD_S = 0.5
-"""How late an event of another instance is told; one of ours is told at once."""
+"""Largest delay of another instance's event, s; our own events are published at once."""
 PAGE = 500
 ALIVE = sorted(set(JobState) - ENDED)
 ROUNDS_A_LEASE = 4
 Taker = Callable[[str], bool]
-"""Whether a subject can be had."""
+"""Whether a subject can be leased."""
 
 
 def vehicle_subject(vehicle_id: str) -> str:
-    """What is leased of a vehicle."""
+    """Subject of a vehicle's lease."""
     return f"vehicle:{vehicle_id}"
 
 
 def link_subject(link_id: str) -> str:
-    """What is leased of a link."""
+    """Subject of a link's lease."""
     return f"link:{link_id}"
 
 
 def job_subject(job: Job) -> str:
-    """What must be held for a job to be ours."""
+    """Subject whose lease makes a job ours."""
     return f"job:{job.id}" if job.vehicle_id is None else vehicle_subject(job.vehicle_id)
 
 
@@ -88,7 +88,7 @@ class LeasedJobs:
         return self._store.fenced(self._leases.fence(job_subject(job)))
 
     def ended(self, job: Job) -> None:
-        """See Ownership: a job without a vehicle needs its lease no more once all of it is kept."""
+        """See Ownership: a job without a vehicle needs no lease once all of it is stored."""
         if job.vehicle_id is None and job.state in ENDED:
             task = asyncio.get_running_loop().create_task(self._give_back(job_subject(job)))
             self._ending.add(task)
@@ -141,7 +141,7 @@ class Instance:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     def close(self) -> None:
-        """Give every lease back: others take over at once."""
+        """Give every lease back, so that others take over at once."""
         with suppress(StoreError):
             for subject in self._leases.mine(""):
                 self._leases.release(subject)
@@ -244,10 +244,10 @@ class Membership:
         self._self = f"{EVERY_INSTANCE}{leases.owner.id}"
         self._wake = asyncio.Event()
         self._missed: dict[str, int] = {}
-        """Rounds in which a vehicle of ours was not there, by subject."""
+        """Number of rounds in which a vehicle of ours was missing, by subject."""
 
     async def run(self) -> None:
-        """Round after round, for ever."""
+        """Make rounds until cancelled."""
         forget = self._vehicles.subscribe(self._hear)
         try:
             while True:
@@ -265,7 +265,7 @@ class Membership:
             forget()
 
     async def round(self) -> None:
-        """Renew, give up, take over. Raises StoreError."""
+        """Renew leases, give up lost ones, take over free subjects. Raises StoreError."""
         for subject in await asyncio.to_thread(self._leases.renew):
             await self._lost(subject)
         if self._self not in self._leases.mine(EVERY_INSTANCE):
@@ -309,7 +309,7 @@ class Membership:
     # --- taking over
 
     async def _take_links(self, owners: Mapping[str, Owner]) -> None:
-        """Open links that nobody has open: our share of them a round, so that others get theirs."""
+        """Open links that no instance has open, in each round only our share of them."""
         urls = {row.id: row.url for row in await self._store.do(self._store.links)} | self._named
         opened = {link.id for link in self._links.all()}
         free = [i for i in urls if i not in opened and self._free(owners, link_subject(i))]
@@ -330,7 +330,7 @@ class Membership:
                 self._engine.take_over(rows)
 
     async def _take_jobs(self, free: Taker) -> None:
-        """Take up jobs without a vehicle that their instance left."""
+        """Take over jobs without a vehicle whose instance has left."""
         for row in await self._store.do(partial(self._store.jobs, states=ALIVE)):
             subject = f"job:{row.id}"
             if row.vehicle_id is not None or not free(subject):

@@ -1,8 +1,7 @@
 """Leases in the database: acquired, renewed, given back, and checked inside transactions of others.
 
-They end by the database's clock. Whether one of ours holds is also judged here, by a clock that goes on while the
-process or the machine sleeps. It counts from the moment at which the last renewal was asked for, so it never counts too
-long.
+They end by the database's clock. Our own leases are also judged by a local clock that runs on while the process or the
+machine sleeps. It counts from the moment at which the last renewal was asked for, so it never counts too long.
 """
 
 from __future__ import annotations
@@ -57,14 +56,14 @@ class Leases:
         self.lease_s = lease_s
         self._database = PostgresDatabase(url, "instances", migrations(package="mavcal.service.instances"))
         self._held: dict[str, tuple[int, float]] = {}
-        """Token, and until when it holds at least, by subject."""
+        """Token, and the time until which it certainly holds, by subject."""
 
     def close(self) -> None:
         """Close the connection; leases that were not given back run out."""
         self._database.close()
 
     def acquire(self, subject: str) -> bool:
-        """Own `subject` from now on, unless somebody else does."""
+        """Acquire the lease of `subject`; False if another instance owns it."""
         began = clock()
         rows = self._run(
             "INSERT INTO leases (subject, owner, name, url, token, expires) VALUES "
@@ -119,7 +118,7 @@ class Leases:
         return {subject: Owner(owner, name, url) for subject, owner, name, url in rows}
 
     def fence(self, subject: str) -> Fence:
-        """What a transaction of ours begins with: it goes on only while the lease of now holds.
+        """Check at the beginning of our transactions, which go on only while the present lease holds.
 
         Until its end nobody else can acquire the lease. Raises LeaseLost, also at once if it is not held now.
         """
@@ -133,13 +132,13 @@ class Leases:
                 (subject, token),
             )
             if not held:
-                self._doubt(subject, token)
+                self._mark_lost(subject, token)
                 raise LeaseLost(f"this instance does not own {subject} any more: nothing is kept or written for it")
 
         return check
 
-    def _doubt(self, subject: str, token: int) -> None:
-        """What the database does not confirm does not hold here either, until it is renewed."""
+    def _mark_lost(self, subject: str, token: int) -> None:
+        """Treat a lease as lost until it is renewed."""
         if self._held.get(subject, (0, 0.0))[0] == token:
             self._held[subject] = (token, 0.0)
 

@@ -90,7 +90,7 @@ class JobEngine:
         self._pool, self._owns_pool = executor or ThreadPoolExecutor(2, thread_name_prefix="fit"), executor is None
         self._ownership = ownership or Alone(store)
         self.book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
-        """Every job; one of several instances tells it what the others have done."""
+        """The book of every job; one of several instances also enters the changes of the others."""
         self._runner = Runner(vehicles, self.settings, self._pool, self.list, reach, clock, wall)
         self.tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._ledgers = ledgers or RateLedgers(vehicles)

@@ -1,4 +1,4 @@
-"""Message rates of jobs: requested, owed in the journal until they are returned, and who has those of a vehicle."""
+"""Message rates of jobs: requests, restoring by the journal, and the present user of a vehicle's rates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle, VehicleSource
 from mavcal.service.vehicle.rate_ledger import RateUser
 
 ASKING_S = 1.0
-"""About how long it takes to ask for messages and to hear that they are granted."""
+"""Approximate time to request messages and receive the confirmation, s."""
 STARTING = "The service is finishing what was interrupted at its last stop; the vehicle is asked for samples then."
 
 

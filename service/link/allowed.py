@@ -1,7 +1,7 @@
-"""Which endpoints somebody on the network may open: by kind, by address, by folder.
+"""Endpoints that a client on the network may open: by kind, by address, by folder.
 
-Whoever starts the service names endpoints freely; whoever asks over HTTP does so within the settings. A refusal says
-the same whether a file is missing or forbidden.
+The operator who starts the service names endpoints freely; HTTP clients are bound by the settings. A refusal says the
+same whether a file is missing or forbidden.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mavcal.service.settings import network as as_network
 IpAddress = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 DEVICE = re.compile(r"/dev/(tty[A-Za-z]+\d+|(tty|cu)\.[\w.-]+|rfcomm\d+|serial/by-(id|path)/[\w.:+-]+)|COM\d+")
-"""What serial devices are called."""
+"""Names of serial devices."""
 _FILE_OPTIONS = ("params", "config")
 """Options of a simulated vehicle that may name a file."""
 

@@ -1,7 +1,7 @@
 """Capacity of a link, and the stream rates that fit into it.
 
-A telemetry radio carries a few kilobytes a second. Asked for more, it loses frames at random, parameter answers
-among them; so rates are chosen below what it was seen to carry, and a job is told how much longer it will take.
+A telemetry radio carries a few kilobytes a second. Asked for more, it loses frames at random, parameter answers among
+them. Rates are therefore chosen below its measured capacity, and a job is told how much longer it will take.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from mavcal.service.link.endpoint import Endpoint, EndpointKind
 SHARE = 0.7
 """Share of the capacity that streams may take: the rest is for parameters, commands and other programs."""
 BACKGROUND_BYTES_PER_S = 100.0
-"""HEARTBEAT, STATUSTEXT and what else comes unasked."""
+"""Load of HEARTBEAT, STATUSTEXT and other unrequested messages."""
 SLOW_HZ = 2.0
-"""Streams this slow are state, not samples: they are never thinned out."""
+"""Rate up to which a stream is state, not samples, and is never reduced."""
 LOSSY = 0.1
-"""A link that loses more than this share is asked for more than it carries."""
+"""Share of losses above which a link is overloaded."""
 EXACT_HZ = 50.0
-"""Up to this rate both firmwares deliver what is asked for; what comes slower is held up by the link."""
+"""Rate up to which both firmwares deliver the requested rate; slower streams are then held up by the link."""
 HELD_UP = 0.8
-"""A stream that is sent to less than this share is held up at its source: its port is full."""
+"""Share of a stream's samples below which it is held up at its source by a full port."""
 SHORT = 0.03
-"""A port that is asked for this share more than it carries fills its buffer; less may be chance."""
+"""Relative overload from which a port fills its buffer; less may be chance."""
 MORE = 1.2
-"""Carried so many times more than at most before, what was measured before was wrong; less may be chance."""
+"""Factor over the largest load carried before that disproves an earlier capacity; less may be chance."""
 STEP = 0.25
-"""No rate is cut to less than this share at once: what a link carries is measured again on the way."""
+"""Least share to which a rate is cut at once; the capacity is measured again in between."""
 _LEAST_COMES = 0.1  # of a link that loses more nothing is inferred
 _OVERHEAD = 12
 _BITS_PER_BYTE = 10  # a start bit and a stop bit go with every eight
@@ -68,11 +68,11 @@ class Arrivals:
 
     @property
     def own_bytes_per_s(self) -> float:
-        """Everything that came, per second of the vehicle's time: rates are asked for in it."""
+        """Received bytes per second of the vehicle's time, in which rates are requested."""
         return self.bytes_per_s / self.speed
 
     def sent_share(self, requested_hz: Mapping[int, float]) -> float | None:
-        """Share of the samples asked for that the vehicle sent; None: no stream tells.
+        """Share of the requested samples that the vehicle sent; None: no stream shows it.
 
         That of the stream that does best: a full link holds up all of them. One that never comes says nothing:
         firmwares accept some that they do not have. Nor does one that was asked for so fast that firmwares send
@@ -83,7 +83,7 @@ class Arrivals:
         return max(shares) if shares else None
 
     def short(self, requested_hz: Mapping[int, float]) -> float:
-        """Share of all samples asked for that the link did not carry: they were not sent, or wait in a buffer."""
+        """Share of the requested samples that the link did not carry: not sent, or waiting in a buffer."""
         informative = self._informative(requested_hz)
         if not informative:
             return 0.0
@@ -107,10 +107,10 @@ def frame_bytes(message_id: int) -> int:
 
 
 def nominal_capacity(endpoint: Endpoint) -> float | None:
-    """Bytes per second that a serial port can carry at its baud rate; None where nothing is known beforehand.
+    """Bytes per second that a serial port can carry at its baud rate; None if unknown.
 
-    A flight controller's own USB port (``ttyACM``, ``by-id``) ignores the rate; a radio behind an adapter
-    (``ttyUSB``) does not, and may be slower still over the air: measure.
+    A flight controller's own USB port (``ttyACM``, ``by-id``) ignores the rate. A radio behind an adapter (``ttyUSB``)
+    does not, and may be even slower over the air, so it is measured.
     """
     if endpoint.kind is not EndpointKind.SERIAL or "ACM" in endpoint.path or "by-id" in endpoint.path:
         return None
@@ -120,7 +120,7 @@ def nominal_capacity(endpoint: Endpoint) -> float | None:
 def unlimited(endpoint: Endpoint) -> bool:
     """Whether the link has no limit worth measuring, as to a simulated vehicle on this machine.
 
-    What comes late of it, or not at all, wants for processor time, and fewer streams would be no remedy.
+    Late or missing samples then lack processor time, and fewer streams would not help.
     """
     return endpoint.kind is EndpointKind.SIM
 
@@ -156,7 +156,7 @@ def plan_rates(
 
 
 def seen_capacity(requested_hz: Mapping[int, float], seen: Arrivals, *, late: bool) -> float | None:
-    """What a link was seen to carry, in bytes per second of the vehicle's time; None if it carried everything.
+    """Measured capacity of a link, bytes per second of the vehicle's time; None if it carried everything.
 
     It is too slow if it loses many frames, or if the vehicle's full port holds back many samples. So it is if a
     buffer fills and answers wait behind the samples.
@@ -177,7 +177,7 @@ def seen_capacity(requested_hz: Mapping[int, float], seen: Arrivals, *, late: bo
 
 
 def lowered(requested_hz: Mapping[int, float], capacity_bytes_per_s: float | None) -> dict[int, float]:
-    """As :func:`plan_rates`, but no rate is cut to less than a share of it at once."""
+    """Rates as by :func:`plan_rates`, but none is cut by more than one step at once."""
     planned = plan_rates(requested_hz, capacity_bytes_per_s)
     return {key: max(rate, min(STEP * requested_hz[key], requested_hz[key])) for key, rate in planned.items()}
 
@@ -185,8 +185,8 @@ def lowered(requested_hz: Mapping[int, float], capacity_bytes_per_s: float | Non
 def helped(before_hz: Mapping[int, float], before: Arrivals, after_hz: Mapping[int, float], after: Arrivals) -> bool:
     """Whether lower rates have relieved the link; if not, the samples are not what congests it.
 
-    A link that loses as much of less is bad, not slow. A vehicle that sends as small a share of less is slow itself.
-    One that carries more of less than it was said to carry at all was measured wrongly.
+    A link that loses the same share of a smaller load is bad, not slow. A vehicle that still sends the same small share
+    is slow itself. One that carries more of less than it was said to carry at all was measured wrongly.
     """
     if before.loss > LOSSY and after.loss > before.loss / 2:
         return False

@@ -1,7 +1,7 @@
 """Endpoints: the strings that name a link.
 
-BlueOS, mavutil, MAVSDK and QGroundControl write the same thing in slightly different ways; all are read, and
-``str()`` gives one form.
+BlueOS, mavutil, MAVSDK and QGroundControl spell them slightly differently; all spellings are read, and ``str()`` gives
+one form.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SIMULATED = ("ardupilot", "px4")
 
 
 class EndpointKind(StrEnum):
-    """How bytes get to the vehicle and back."""
+    """Transport to the vehicle."""
 
     UDPIN = "udpin"  # wait on a port for whoever speaks
     UDPOUT = "udpout"  # speak first, to one address
@@ -65,7 +65,7 @@ _OPTIONS = {
     EndpointKind.FILE: {"speed"},
     EndpointKind.SIM: {"seed", "speed", "system_id", "script", "config", "params", "hand", SIGNING},
 }
-"""What may follow a ``?``. A PX4 answers one client port for ever: ``local_port`` keeps ours the same."""
+"""Options allowed after a ``?``. PX4 keeps answering one client port; ``local_port`` keeps ours constant."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Endpoint:
 
     @property
     def place(self) -> Endpoint:
-        """The endpoint without its key: what is opened there, however it is signed."""
+        """The endpoint without the name of its key."""
         return self.signed_with(None)
 
     def signed_with(self, name: str | None) -> Endpoint:
@@ -109,7 +109,7 @@ class Endpoint:
 
     @property
     def hand(self) -> Hand | None:
-        """Who moves the simulated vehicle at first; None: the endpoint is none of a simulated vehicle."""
+        """Who moves the simulated vehicle at first; None: the endpoint is no simulated vehicle."""
         return Hand(self.option("hand") or Hand.AUTO) if self.kind is EndpointKind.SIM else None
 
     def number(self, name: str, default: float) -> float:

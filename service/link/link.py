@@ -38,12 +38,12 @@ from mavcal.service.link.udp import UdpTransport
 
 HEARTBEAT_S = 1.0
 OFFERS, OFFER_S = 5, 1.0
-"""How often a vehicle is given its key, and how long each time a frame that it signs is waited for."""
+"""Number of times that a vehicle is given its key, and the wait for a signed frame after each, s."""
 _JOIN_S = 10.0
 _LOOK_S = 10.0
-"""A reader that has not looked for so long does not read: its thread is held up, say by the disk."""
+"""Time without a read after which the reader counts as blocked, for example by the disk, s."""
 _MERGED_S = 0.2
-"""Batches are joined over so much time at most: what is in a batch counts as received with the last of it."""
+"""Longest time over which batches are joined, s; a batch counts as received with its last frame."""
 
 
 def transport_of(endpoint: Endpoint) -> Transport:
@@ -81,7 +81,7 @@ class Link:
     tlog_dir
         Directory of the recording; each opening begins a new file there, and so does :meth:`rotate`.
     ids
-        What we call ourselves on the wire.
+        Our ids on the wire.
     signing
         None: frames are neither signed nor are signatures asked for.
     store_timestamp
@@ -220,9 +220,9 @@ class Link:
         return None if signing is None else signing.name
 
     async def offer_key(self, signing: SigningConfig, target: tuple[int, int]) -> bool:
-        """Give a vehicle a key, and sign from the first frame on that it signs with it; whether one came in time.
+        """Give a vehicle a key, and sign once it signs with that key; False if it does not in time.
 
-        Until then the link stays as it is: a vehicle that does not take the key goes on being heard.
+        Until then the link is unchanged: a vehicle that does not take the key is still heard.
 
         Raises
         ------
@@ -384,7 +384,7 @@ class Link:
         loop.call_soon(self._handed, 0.0 if self._reader is None else self._reader.taken_until)
 
     def _handed(self, until: float) -> None:
-        """Behind the last batch of a delivery."""
+        """Note the end of a delivery."""
         self._handing -= 1
         self._handed_until = max(self._handed_until, until)
 
@@ -436,7 +436,7 @@ class Link:
 
 
 def _merged(reports: Iterable[Report]) -> list[Report]:
-    """Join neighbouring batches: what gathered while the loop was busy is handed on in few pieces."""
+    """The reports with neighbouring batches joined, so that a backlog is passed on in few pieces."""
     merged: list[Report] = []
     run: list[Batch] = []
 

@@ -1,4 +1,4 @@
-"""Transports of this machine: a serial device, a recording that is replayed, a simulated vehicle."""
+"""Local transports: a serial device, a replayed recording, a simulated vehicle."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SerialTransport(Transport):
         selector.register(port, selectors.EVENT_READ)
 
     def receive(self) -> list[Chunk]:
-        """Read what is there."""
+        """Read the available bytes."""
         if self._port is None:
             return []
         try:
@@ -61,7 +61,7 @@ class SerialTransport(Transport):
         return [Chunk(bytes(data), (self._endpoint.path, 0))] if data else []
 
     def send(self, data: bytes, peer: Address | None) -> None:
-        """Write; what the driver's buffer does not take is lost."""
+        """Write; bytes that do not fit into the driver's buffer are lost."""
         if self._port is None:
             return
         with contextlib.suppress(serial.SerialTimeoutException):
@@ -95,7 +95,7 @@ def _serial_error(exc: Exception, endpoint: Endpoint) -> LinkError:
 
 
 class FileTransport(Transport):
-    """Replays a .tlog: at ``speed`` times its own pace, or as fast as it is taken (``speed=0``)."""
+    """Replays a .tlog at ``speed`` times its own pace, or as fast as it is read (``speed=0``)."""
 
     ends = True
     answers = False
@@ -129,7 +129,7 @@ class FileTransport(Transport):
         return self._began[0] + (self._next[0] - self._began[1]) / 1e6 / self._speed
 
     def wait(self) -> float | None:
-        """Until the next record is due."""
+        """Time until the next record is due, s."""
         return 1.0 if self._done else max(0.0, min(1.0, self._due() - time.monotonic()))
 
     def receive(self) -> list[Chunk]:

@@ -1,7 +1,7 @@
 """Counting lost frames by sequence numbers of eight bits.
 
-The sequence alone shows a gap modulo 256. What it cannot show is inferred: on Linux a UDP socket says with every
-datagram how many it had to drop so far; elsewhere the sender's own rate says how many frames a silence is worth.
+The sequence alone shows a gap modulo 256. The rest is inferred. On Linux a UDP socket reports its count of dropped
+datagrams with every datagram. Elsewhere the sender's own rate tells how many frames a silence amounts to.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ _WINDOW_S = 0.5
 _REMEMBERED = 256
 _SEEN_MASK = (1 << _REMEMBERED) - 1
 _TOLERANCE = 8.0
-"""How far a count that rests on a rate may be off, at least."""
+"""Least tolerance of a count from a rate."""
 _LONGEST_S = 30.0
-"""A longer silence is an absence, not loss."""
+"""Longest silence that counts as loss, s; a longer one is an absence."""
 
 
 class SequenceCounter:
@@ -87,7 +87,7 @@ class SequenceCounter:
             self.lost = max(0, self.lost - 1)
 
     def _end_of_drain(self, now: float) -> None:
-        """Frames taken together carry one time: a window that ended among them would miss the rest of them."""
+        """End the window before a new time: frames read together have one time, and must all fall in it."""
         if self._last >= 0 and self._now - self._window_at >= _WINDOW_S:
             self._roll(self._now)
         self._now = now

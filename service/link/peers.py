@@ -5,7 +5,7 @@ from __future__ import annotations
 from mavcal.service.link.types import Address, LinkEvent, LinkEventKind, OwnIdentity
 
 INTERLEAVE_S = 5.0
-"""Two addresses that take turns within this time are two vehicles, not one that moved."""
+"""Time within which alternating addresses are two vehicles, not one that moved."""
 RECENT_S = 30.0
 """Broadcasts go to the addresses heard within this time."""
 _MAX_ADDRESSES = 64
@@ -30,7 +30,7 @@ class PeerTable:
         self._heard: dict[Address, float] = {}
 
     def see(self, system: int, component: int, address: Address, now: float) -> LinkEvent | None:
-        """Note who spoke; return what is worth an event, at most one every few seconds for one sender."""
+        """Note a sender; returns an event if one is due, at most one every few seconds for each sender."""
         self._heard.pop(address, None)
         self._heard[address] = now
         if len(self._heard) > _MAX_ADDRESSES:
@@ -67,7 +67,7 @@ class PeerTable:
         )
 
     def address(self, system: int, component: int) -> Address | None:
-        """Where to send what is meant for this component, or None if nobody of its system was heard.
+        """Address of this component, or None if its system was never heard.
 
         A component never heard shares the way of its system.
         """

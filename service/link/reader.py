@@ -27,9 +27,9 @@ from mavcal.service.link.transports import DRAIN, Chunk, Disconnected, Transport
 from mavcal.service.link.types import Address, Batch, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
 
 _IDLE_S = 0.25
-"""Longest wait for input; also how long a torn frame may hold back what came behind it."""
+"""Longest wait for input; also the longest time for which a truncated frame holds back later ones."""
 _PACE_S = 0.002
-"""Rest between two drains of a fast link: fewer, larger batches cost less of the interpreter."""
+"""Pause between two drains of a fast link: fewer, larger batches cost less processor time."""
 _BACKOFF_S = (0.25, 0.5, 1.0, 2.0, 5.0)
 _MAX_UNDELIVERED = 200_000
 _WARN_EVERY_S = 5.0
@@ -38,7 +38,7 @@ _MAX_SENDERS = 512
 _FULL_BYTES = 4096
 """A chunk of so many bytes may be cut: more may be waiting behind it."""
 _VITAL = frozenset({0})
-"""HEARTBEAT: handed on also where the event loop is too late for anything else, since it says who has armed."""
+"""HEARTBEAT, passed on even when the event loop is too late for anything else: it shows arming."""
 
 
 class Outgoing(NamedTuple):
@@ -98,7 +98,7 @@ class Reader(threading.Thread):
         self._next_recorder: TlogRecorder | None = None
         self._own = own
         self.signing = signing
-        """What is in force: frames are signed, and only signed ones are believed. None: neither."""
+        """The signing in force: frames are signed, and only signed ones are accepted. None: no signing."""
         self._offered: _Offer | None = None
         self._loop = loop
         self._deliver = deliver
@@ -115,9 +115,9 @@ class Reader(threading.Thread):
         self._marks: deque[Callable[[int], None]] = deque()
         self._asked: deque[Callable[[], None]] = deque()
         self.looked_at = 0.0
-        """What arrived before this time (monotonic clock, s) has been read and posted."""
+        """Time up to which all input has been read and posted, s of the monotonic clock."""
         self.taken_until = 0.0
-        """The same of the reports that were taken."""
+        """The same time for the reports already taken."""
         self._sent: deque[bytes] = deque(maxlen=64)
         self._sequence = 0
         self._reports: deque[Report] = deque()
@@ -157,7 +157,7 @@ class Reader(threading.Thread):
         self._wake()
 
     def look(self, reached: Callable[[], None]) -> None:
-        """Ask for a :class:`Barrier` behind everything that has arrived by now."""
+        """Request a :class:`Barrier` after everything that has arrived by now."""
         self._asked.append(reached)
         self._wake()
 
@@ -318,7 +318,7 @@ class Reader(threading.Thread):
         return parser.feed(chunk.data)
 
     def _finish_streams(self, now: float) -> None:
-        """Flush the parsers of idle streams: a torn frame holds back no frames behind it any longer."""
+        """Flush the parsers of idle streams, so that a truncated frame no longer holds back later ones."""
         for peer, parser in self._stream_parsers.items():
             if parser.pending:
                 frames = parser.finish()
@@ -374,7 +374,7 @@ class Reader(threading.Thread):
         )
 
     def _refused(self, frame: Frame, chunk: Chunk, now: float) -> bool:
-        """True for frames that must not be believed: wrongly signed, or in our own name."""
+        """True for frames that must not be accepted: wrongly signed, or with our own ids."""
         offered = self._offered
         if offered is not None and frame[2:4] == offered.target and self._confirmed(frame, offered):
             return False
@@ -407,7 +407,7 @@ class Reader(threading.Thread):
         return True
 
     def _sender(self, system: int, component: int, peer: Address, now: float) -> SequenceCounter | None:
-        """Note who speaks from where; its counter, or None if there are too many senders to count."""
+        """Counter of a sender, whose address is noted; None if there are too many senders."""
         event = self.peers.see(system, component, peer, now)
         if event is not None:
             self._post(event)

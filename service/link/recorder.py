@@ -40,7 +40,7 @@ class TlogRecorder:
         return tlog_record(self._last_us, b"")
 
     def follow(self, before: TlogRecorder) -> None:
-        """Go on where another file ended: times do not decrease from file to file either."""
+        """Continue another file, so that times do not decrease from file to file."""
         self._last_us = max(self._last_us, before._last_us)
 
     def write(self, records: list[bytes]) -> None:
@@ -73,7 +73,7 @@ class TlogRecorder:
             self.position = os.fstat(self._file).st_size  # a reader resynchronises over the torn one
 
     async def sync(self) -> None:
-        """Bring everything written so far onto the disk. Raises DiskFull if that is not possible."""
+        """Force everything written so far to the disk. Raises DiskFull if that is not possible."""
         try:
             await asyncio.get_running_loop().run_in_executor(None, os.fsync, self._file)
         except OSError as exc:

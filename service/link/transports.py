@@ -39,18 +39,18 @@ class Chunk(NamedTuple):
 
 
 class Transport(ABC):
-    """What the reader thread drives."""
+    """A transport, driven by the reader thread."""
 
     datagrams = False
-    """True: every chunk stands alone, and its frames never continue in the next."""
+    """Whether every chunk is complete, so that no frame continues in the next."""
     lossless = True
-    """True: the other side waits if we do, so that nothing need be dropped here."""
+    """Whether the other side waits if we do, so that nothing need be dropped here."""
     connected_when_open = True
-    """False: being open says nothing; the link is up once somebody was heard."""
+    """Whether an open transport is connected; if not, the link is up once somebody was heard."""
     ends = False
-    """True: once it is over there is nothing to reconnect to."""
+    """Whether it ends for good, with nothing to reconnect to."""
     answers = True
-    """False: nobody is there who could answer."""
+    """Whether anybody can answer."""
 
     @abstractmethod
     def open(self, selector: selectors.BaseSelector) -> None:
@@ -90,7 +90,7 @@ def resolve(host_port: tuple[str, int], kind: int, endpoint: Endpoint) -> tuple[
 
 
 def open_error(exc: OSError, endpoint: Endpoint) -> EndpointError | PortBusy | LinkDown:
-    """Tell what is wrong for good from what is worth another try."""
+    """The error for an exception: permanent, or worth another try."""
     if exc.errno == errno.EADDRINUSE:
         return PortBusy(
             f"{endpoint}: another program uses port {endpoint.port}. "

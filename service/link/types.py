@@ -1,4 +1,4 @@
-"""What a link says about itself: batches of frames, its state, its statistics, and events worth a sentence."""
+"""Types of a link: batches of frames, its state, its statistics, and its events."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class UdpTransport(Transport):
         return chunks
 
     def send(self, data: bytes, peer: Address | None) -> None:
-        """Send one datagram; one that the network does not take now is lost, as datagrams are."""
+        """Send one datagram; it is lost if the network does not take it now."""
         target = peer or self._peer
         if self._socket is None or target is None:
             return

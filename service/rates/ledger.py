@@ -1,7 +1,7 @@
-"""Message rates as users see them: requested, owed until they are returned, and the ledger of any vehicle.
+"""Message rates for their users: requests, rates owed until returned, and the ledger of any vehicle.
 
-Both firmwares keep one set of rates for a link, so only one user has them at a time. A job goes before a preflight,
-and either before those who watch. Each keeps the intervals of before somewhere (:class:`Owed`) until they are returned.
+Both firmwares keep one set of rates for a link, so only one user has them at a time. A job goes before a preflight, and
+either before those who watch. Each stores the previous intervals (:class:`Owed`) until they are returned.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ class Owed(Protocol):
         """The intervals that are owed to the vehicle."""
 
     async def owe(self, before: Mapping[int, int]) -> None:
-        """Owe these as well. On the disk before anything is changed, where they have to survive a crash."""
+        """Add `before` to what is owed; written to disk before any change, where it must survive a crash."""
 
     async def returned(self) -> None:
-        """Nothing is owed any more."""
+        """Clear what is owed."""
 
 
 async def request_rates(
     vehicle: JobVehicle, rates: Mapping[int, float], owed: Owed, *, measure_s: float
 ) -> tuple[str, ...]:
-    """Have messages sent at `rates` (Hz); returns what comes slower, in sentences. Raises VehicleError, LinkError."""
+    """Request messages at `rates` (Hz); returns sentences on slower ones. Raises VehicleError, LinkError."""
     known = owed.intervals()
     before = await vehicle.intervals([message_id for message_id in rates if message_id not in known])
     if before:
@@ -65,8 +65,8 @@ class RateLedgers:
     def of(self, vehicle_id: str) -> RateLedger:
         """The ledger of a vehicle, by any id that it has had; not to be held over an await.
 
-        A vehicle gets its lasting id when it has said which unit it is, may turn out to be one on another link, and
-        gets a new ledger when it is found anew. One that is not there has the ledger of before.
+        A vehicle gets its lasting id once it has identified itself. It may turn out to be a vehicle on another link,
+        and gets a new ledger when it is found again. An absent vehicle keeps its previous ledger.
         """
         vehicle = self._vehicle(vehicle_id)
         present = vehicle_id if vehicle is None else vehicle.id

@@ -1,4 +1,4 @@
-"""Keeps on disk the message rates as they were before a watch, so that a killed service still puts them back."""
+"""Message rates before a watch, kept on disk so that they are restored even after the service was killed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class OwedRates:
         return dict(self._owed)
 
     def put(self, vehicle_id: str, intervals: Mapping[int, int]) -> None:
-        """Set what is owed to a vehicle; it is on the disk when this returns.
+        """Set what is owed to a vehicle; it is on disk on return.
 
         Raises
         ------

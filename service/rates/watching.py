@@ -1,7 +1,7 @@
-"""Message rates for those who watch a vehicle: requested while somebody does, then returned to what they were.
+"""Message rates for live views of a vehicle: requested while somebody watches, then restored.
 
-No measurement is disturbed. While a job or a preflight controls the rates of a vehicle, or still returns them, none are
-requested here. Whoever needs the rates next has ours returned first (:meth:`LiveRates.release`).
+No measurement is disturbed: while a job or a preflight controls a vehicle's rates, or is restoring them, none are
+requested here. The next user of the rates first has ours restored (:meth:`LiveRates.release`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mavcal.service.vehicle.rate_ledger import LiveWatch
 log = structlog.get_logger(__name__)
 
 Claim = Callable[[str], str | None]
-"""What else has the rates of a vehicle now, in a sentence; None: nothing."""
+"""Sentence on what else controls the rates of a vehicle now; None: nothing."""
 ARMED = "The vehicle is armed: it is not asked for samples, so that its link stays free. Disarm it to see them."
 SILENT = "The vehicle is silent: it is asked for samples once it is heard again."
 READ_ONLY = "This service runs with --read-only: it does not change which messages a vehicle sends."
@@ -59,16 +59,16 @@ class LiveTimes:
     """Timeouts of watching, s of the wall clock."""
 
     lapse_s: float = 10.0
-    """A watch whose stream takes nothing for so long is over: its client was killed, or its connection hangs."""
+    """Time after which a watch ends if its stream takes no samples: the client was killed, or the connection hangs."""
     leave_s: float = 3.0
-    """After the end of its stream: a page that is loaded again finds the rates as they are."""
+    """Time that the rates are kept after the end of a stream, for a page that is reloaded."""
     look_s: float = 0.2
     again_s: float = 5.0
-    """Between two attempts, where asking or putting back has failed."""
+    """Time between two attempts after a request or a restore has failed."""
     stop_s: float = 5.0
-    """So long a service that stops waits for rates to be put back; what is left is done at its next start."""
+    """Longest wait of a stopping service for rates to be restored; the rest is restored at its next start."""
     measure_s: float = 2.0
-    """How long it is measured what the link carries, by the vehicle's time stamps."""
+    """Duration of the measurement of the link's rates, by the vehicle's time stamps."""
 
 
 class LiveRates:
@@ -79,7 +79,7 @@ class LiveRates:
     ledgers
         Who watches each vehicle, and what is owed to it.
     read_only
-        No vehicle is ever asked for anything.
+        Whether nothing is ever requested from a vehicle.
     times
         See :class:`LiveTimes`.
     clock
@@ -102,14 +102,14 @@ class LiveRates:
         self._stopping = False
 
     def start(self, claim: Claim) -> None:
-        """Return what an earlier run has left; `claim` says from now on what else has the rates of a vehicle."""
+        """Restore what an earlier run has left; from now on `claim` states what else controls a vehicle's rates."""
         self._claim = claim
         if not self._read_only and self._ledgers.kept is not None:
             for vehicle_id in self._ledgers.kept.all():
                 self._attend(vehicle_id)
 
     async def stop(self) -> None:
-        """Return all rates; what cannot be returned within a while is returned at the next start."""
+        """Restore all rates; what cannot be restored within `LiveTimes.stop_s` is restored at the next start."""
         self._stopping = True
         for ledger in self._ledgers.all():
             ledger.watches.clear()
@@ -167,10 +167,10 @@ class LiveRates:
         watch.until = self._clock() + self._times.leave_s
 
     async def release(self, vehicle_id: str, message_ids: Collection[int]) -> Mapping[int, int]:
-        """Return our rates, for somebody who has claimed the vehicle and needs other ones.
+        """Restore the rates for a new user, who has claimed the vehicle and needs other ones.
 
-        Returns intervals (us, by message), of those that are asked about, that could not be returned. They are as they
-        were before us, and returning them is the caller's from now on.
+        Returns the original intervals (us, by message) of those of `message_ids` that could not be restored. The caller
+        must restore them.
         """
         attendant = self._attendant(vehicle_id)
         return {} if attendant is None else await attendant.release(message_ids)
@@ -204,8 +204,8 @@ class LiveRates:
 class WatchOwed:
     """What is owed to one vehicle for its watches, in memory and on the disk; see :class:`service.rates.ledger.Owed`.
 
-    A change reaches the disk first: what is not there would not be returned after a crash. It is made whole even if
-    whoever makes it is cancelled.
+    A change is written to disk first, since only that is restored after a crash. It is completed even if the caller is
+    cancelled.
     """
 
     def __init__(self, vehicle_id: str, kept: OwedRates) -> None:
@@ -217,11 +217,11 @@ class WatchOwed:
         return self._intervals
 
     async def owe(self, before: Mapping[int, int]) -> None:
-        """Owe these as well, unless they are owed already. Raises DiskFull."""
+        """Add `before` to what is owed, except intervals that are owed already. Raises DiskFull."""
         await self._keep({**before, **self._intervals})
 
     async def hand_over(self, message_ids: Collection[int]) -> Mapping[int, int]:
-        """Those of these messages that are owed; somebody else owes them from now on. Raises DiskFull."""
+        """The owed intervals of these messages, which the caller owes from now on. Raises DiskFull."""
         theirs = {
             message_id: self._intervals[message_id] for message_id in message_ids if message_id in self._intervals
         }
@@ -263,7 +263,7 @@ class Attendant:
         self._requesting: asyncio.Task[None] | None = None
 
     async def run(self, clock: Callable[[], float]) -> None:
-        """Request while somebody watches and nothing stands against it, then return the rates and end."""
+        """Request rates while somebody watches and nothing prevents it, then return them and end."""
         while True:
             rate, pause = self._ledgers.of(self.vehicle_id).wanted_hz(clock()), self._times.look_s
             against = self._obstacle()
@@ -318,10 +318,7 @@ class Attendant:
         return now.conflict or self._claim(vehicle.id)
 
     def _must_end(self, rate: float) -> bool:
-        """Whether nobody watches any more, or a flight needs the link.
-
-        Not while whoever had the rates released still has the vehicle.
-        """
+        """Whether nobody watches any more, or a flight needs the link; False while another user has the vehicle."""
         vehicle = self._vehicle()
         if vehicle is None or (self._released and self._claim(vehicle.id) is not None):
             return False
@@ -332,7 +329,7 @@ class Attendant:
         return vehicle is not None and self._requested_hz > 0 and vehicle.condition().reboots > self._boots
 
     async def _request(self, rate: float) -> None:
-        """Request rates; whoever needs the vehicle meanwhile cancels this, and what was set is then put back."""
+        """Request rates; a new user of the vehicle cancels this, and the rates already set are then restored."""
         self._requesting = asyncio.create_task(self._set(rate), name=f"live rates requested of {self.vehicle_id}")
         try:
             await asyncio.wait({self._requesting})

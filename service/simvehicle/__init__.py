@@ -1,7 +1,7 @@
 """Simulated flight controllers that speak real MAVLink: ArduPilot and PX4 personalities in a process of their own.
 
-An independent second reading of the facts that `calib.firmware` encodes: nothing of `calib` or of the rest of
-`service` is imported here, so that the two readings check each other.
+An independent second implementation of the facts in `calib.firmware`. Nothing of `calib` or of the rest of `service` is
+imported here, so that the two check each other.
 
 A sample is made once per tick of the wall clock. `motion` (attitude, body rate) and `thermal` (temperature) drive
 `sensors` (raw = M·true + b + p(T) + noise). `corrections` applies the firmware's own formulas with the parameters in
@@ -51,7 +51,7 @@ def flight_options() -> list[tuple[str, str]]:
 
 
 def fly(arguments: Sequence[str]) -> int:
-    """Be a simulated vehicle that flies until it is told to stop; the exit code."""
+    """Run a simulated vehicle that flies until it is told to stop; returns the exit code."""
     from mavcal.service.simvehicle.flight.run import main
 
     return main(arguments)

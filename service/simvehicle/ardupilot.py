@@ -57,7 +57,7 @@ class ArduPilotVehicle(FlightController):
         return not names.hidden_by_group(name, self.table.mapping())
 
     def load_parameters(self, parameters: list[SimParameter]) -> None:
-        """See FlightController. A table that names our accelerometers says that they were calibrated and stored."""
+        """See FlightController. A table with our accelerometers' ids means that they are calibrated."""
         super().load_parameters(parameters)
         ids = names.ACCEL_IDS[: self.config.imu_count]
         self.stored.accels = {k for k, i in enumerate(ids) if self.table.get(names.id_name("ACC", k)) == i}
@@ -67,7 +67,7 @@ class ArduPilotVehicle(FlightController):
         return [f"PreArm: {reason}" for reason in self.commands.arming_faults()]
 
     def boot(self) -> None:
-        """See FlightController: latch what needs a reboot, calibrate the gyros unless told not to, begin to talk."""
+        """See FlightController: latch what needs a reboot, calibrate the gyros if required, start the streams."""
         self.sensors.detect()
         self.messages.tilt.boot()
         self.commands.boot()

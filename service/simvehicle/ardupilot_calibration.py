@@ -49,16 +49,16 @@ class StoredCalibrations:
     def __init__(self, table: ParameterTable, announce: Callable[[list[str]], None]) -> None:
         self._table, self._announce = table, announce
         self.accels: set[int] = set()
-        """Instances whose ids are stored: they count as calibrated."""
+        """Instances whose ids are stored, and which therefore count as calibrated."""
         self.reboot_reason: str | None = None
-        """Arming is refused with this reason until the next boot."""
+        """Reason for which arming is refused until the next boot."""
 
     def boot(self) -> None:
         """Note that the vehicle has rebooted."""
         self.reboot_reason = None
 
     def mark_accels(self, count: int) -> None:
-        """The ids of all accelerometers are stored: they count as calibrated."""
+        """Store the ids of all accelerometers, which then count as calibrated."""
         self.accels = set(range(count))
 
     def require_reboot(self, reason: str) -> None:
@@ -130,7 +130,7 @@ def level_trim(sensors: ArduPilotSensors, now: float) -> tuple[float, float] | N
 
 
 def simple_accel_values(sensors: ArduPilotSensors, now: float) -> dict[str, Value]:
-    """One level pose taken as exact: the whole error goes into the offset; scale 1, trim 0."""
+    """Parameters from one level pose taken as exact: the whole error goes into the offset; scale 1, trim 0."""
     values: dict[str, Value] = {}
     t = now + np.arange(1, 41) * 0.01
     state = sensors.world.state(t)
@@ -167,11 +167,11 @@ class AccelCalibration:
         self._ask()
 
     def cancel(self) -> None:
-        """A reboot ends it."""
+        """End the dialogue at a reboot."""
         self.running = self._sensors.accel_calibrating = False
 
     def answer(self, pose: float) -> None:
-        """The ground station says that the vehicle is in a pose: only the one that was asked for counts."""
+        """Take the ground station's statement that the vehicle is in a pose; only the requested pose counts."""
         if not self.running or self._sampling or pose != len(self._means) + 1:
             return
         self._sampling = True
@@ -265,7 +265,7 @@ def solve(means: list[Array]) -> tuple[Array, Array] | None:
 
 
 class MagCalibration:
-    """Collects while the vehicle moves; then reports, and stores what a perfect fit would find."""
+    """Compass calibration: collects while the vehicle moves, then reports and stores the result of a perfect fit."""
 
     def __init__(self, vehicle: FlightController, sensors: ArduPilotSensors, stored: StoredCalibrations) -> None:
         self._vehicle, self._sensors, self._stored = vehicle, sensors, stored

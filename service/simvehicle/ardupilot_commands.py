@@ -1,4 +1,4 @@
-"""ArduPilot's commands: what it does, what it refuses, and how late it says so."""
+"""ArduPilot's commands: execution, refusals, and the delays of its answers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Parameters = list[float]
 
 
 class ArduPilotCommands:
-    """COMMAND_LONG and COMMAND_INT, and what the onboard routines keep between them."""
+    """Handles COMMAND_LONG and COMMAND_INT, with the state of the onboard routines."""
 
     def __init__(
         self,

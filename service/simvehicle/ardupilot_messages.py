@@ -125,7 +125,7 @@ class ArduPilotReadings(Readings):
 
     @cached_property
     def block(self) -> Block:
-        """Attitude and the like."""
+        """Attitude, motion and motor state."""
         sensors = self._sensors
         primary, trim = self.imu(sensors.primary), sensors.table.vector("AHRS_TRIM")
         return make_block(sensors.world, self.state, self._tilt.unbiased(primary.accel), primary.gyro, trim)

@@ -67,7 +67,7 @@ def ardupilot_table(config: VehicleConfig) -> list[SimParameter]:
 
 
 def further(config: VehicleConfig) -> Iterator[SimParameter]:
-    """Parameters that act on nothing."""
+    """Parameters without effect."""
     return (_make(f"XTRA_{number:04}", _F, 0.0) for number in range(config.further_parameters))
 
 
@@ -96,7 +96,7 @@ def _vector(base: str, value: float) -> Iterator[SimParameter]:
 
 
 def _digit(instance: int) -> str:
-    """Instance 1 carries no digit."""
+    """Digit of an instance in names; empty for instance 1."""
     return "" if instance == 0 else str(instance + 1)
 
 

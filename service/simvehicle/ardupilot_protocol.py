@@ -54,7 +54,7 @@ class ArduPilotParameters:
             self.set(str(message.param_id), float(message.param_value))
 
     def value_message(self, parameter: SimParameter, index: int = NO_INDEX) -> Any:
-        """PARAM_VALUE: whatever the type, the value is cast to float32."""
+        """PARAM_VALUE with the value of any type cast to float32."""
         count = len(self._vehicle.table.listing())
         return dialect.MAVLink_param_value_message(
             parameter.name.encode(), float(parameter.value), int(parameter.kind), count, index
@@ -117,7 +117,7 @@ class ArduPilotParameters:
     # --- set
 
     def set(self, name: str, value: float) -> None:
-        """A PARAM_SET: the value acts at once, the echo comes when the IO thread has had its turn."""
+        """Carry out a PARAM_SET: the value acts at once, the echo follows after the IO thread's next turn."""
         table = self._vehicle.table
         self._vehicle.note_set(name, value)
         if name not in table or not math.isfinite(value) or not self._vehicle.alive:
@@ -126,7 +126,7 @@ class ArduPilotParameters:
         self.changed(name)
 
     def changed(self, name: str) -> None:
-        """Save a value and tell everybody: for a PARAM_SET and for what the firmware itself writes."""
+        """Save a value and broadcast it, after a PARAM_SET or a write by the firmware itself."""
         names = self._vehicle.table.vector_members(name) or [name]
         self._vehicle.echo_filter(name, lambda: self._vehicle.at(ECHO_S, lambda: self.announce(names)))
         self._unsaved.add(name)
@@ -137,7 +137,7 @@ class ArduPilotParameters:
         self._vehicle.table.save(name)
 
     def flush(self) -> None:
-        """Save at once what waits for the IO thread, as a commanded reboot does."""
+        """Save at once all values waiting for the IO thread, as a commanded reboot does."""
         for name in list(self._unsaved):
             self._save(name)
 

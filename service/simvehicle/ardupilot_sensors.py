@@ -42,7 +42,7 @@ def compass_reader(world: SimWorld) -> MagReader:
 
 
 class ArduPilotSensors:
-    """Corrected readings of every instance; which chip an instance is was settled at boot."""
+    """Corrected readings of every instance; chips are assigned to instances at boot."""
 
     def __init__(self, world: SimWorld, table: ParameterTable, faults: SensorFaults) -> None:
         self.world, self.table, self._faults = world, table, faults
@@ -54,7 +54,7 @@ class ArduPilotSensors:
         self.detect()
 
     def detect(self) -> None:
-        """Boot: find the chips that are present and not masked, and latch what needs a reboot."""
+        """Find the chips that are present and not masked, and latch settings that need a reboot."""
         mask = int(self.table.get("INS_ENABLE_MASK", 127))
         chips = range(len(self.world.truth.accels))
         self.chips = [k for k in chips if mask >> k & 1 and not self._faults.absent("accel", k)]
@@ -70,7 +70,7 @@ class ArduPilotSensors:
         self.reader.restart()
 
     def unhealthy(self, kind: str) -> bool:
-        """Whether the firmware itself notices a fault: of any inertial unit, and of the first compass alone."""
+        """Whether the firmware notices a fault: of any inertial unit, or of the first compass."""
         return self._faults.fails("mag", 0) if kind == "mag" else self._faults.any(kind)
 
     @property

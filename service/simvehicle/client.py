@@ -65,7 +65,7 @@ class ControlChannel:
         return dict(reply)
 
     def close(self) -> None:
-        """Let go; harmless if repeated."""
+        """Close the channel; harmless if repeated."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -242,7 +242,7 @@ def _link_arguments(link: str) -> list[str]:
 
 
 def free_udp_port() -> int:
-    """A free UDP port on loopback, below those that systems hand out: nobody gets it meanwhile by chance."""
+    """A free UDP port on loopback, below the ephemeral ports, so that no other process gets it by chance."""
     while True:
         port = secrets.choice(_BELOW_EPHEMERAL)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):

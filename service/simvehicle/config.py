@@ -18,7 +18,7 @@ MAX_MAGS = 3
 
 
 class SimAutopilot(StrEnum):
-    """The firmware that is imitated."""
+    """The simulated firmware."""
 
     ARDUPILOT = "ardupilot"
     PX4 = "px4"
@@ -59,7 +59,7 @@ class VehicleConfig:
     imu_temperature_offsets: tuple[float, ...] = (0.0, 1.2, -0.8)
     mag_orientations: tuple[int, ...] = (0, 6, 0)  # how each magnetometer is really mounted
     mag_orientation_parameters: tuple[int, ...] | None = None  # what the parameters say; None: the truth
-    # Roll, pitch, yaw in degrees of a magnetometer that no number describes; None: as mag_orientations has it.
+    # Roll, pitch, yaw in degrees of a magnetometer whose mounting has no number; None: by mag_orientations.
     mag_angles_deg: tuple[tuple[float, float, float] | None, ...] = ()
     mag_external: tuple[bool, ...] = (False, True, False)
     board_orientation: int = 0

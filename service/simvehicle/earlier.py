@@ -1,7 +1,7 @@
-"""The calibration that a vehicle starts with: near the truth, with no parameter at its neutral value.
+"""Initial calibration of a vehicle: near the truth, with no parameter at its neutral value.
 
-A vehicle whose parameters are all neutral hides every fault in undoing what is in force, and in judging a change of it.
-Such a new vehicle is therefore the exception (``"calibration": "none"``).
+A vehicle with neutral parameters only would hide errors in undoing the calibration in force, and in judging changes of
+it. Such a new vehicle is therefore the exception (``"calibration": "none"``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mavcal.service.simvehicle.parameters import AXES
 from mavcal.service.simvehicle.rotation import Array
 from mavcal.service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
 
-# By how much it is off by now: as much as a new calibration can prove, and not so much that the sensors look broken.
+# Errors of the calibration: large enough for a new one to prove, and too small for the sensors to look broken.
 ACCEL_OFFSET_AGED = (0.04, 0.1)  # m/s² an axis, either way
 ACCEL_SCALE_AGED = (4e-3, 9e-3)
 GYRO_OFFSET_AGED = (3e-3, 8e-3)  # rad/s
@@ -31,7 +31,7 @@ MGAUSS_PER_UT, UT_PER_GAUSS = 10.0, 100.0
 
 @dataclass(frozen=True)
 class _Wear:
-    """Share of the errors above that the calibration has: 1 for an earlier one, 0 for a fresh one."""
+    """Share of the errors above in the calibration: 1 for an earlier one, 0 for a fresh one."""
 
     rng: np.random.Generator
     amount: float

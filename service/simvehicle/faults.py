@@ -1,4 +1,4 @@
-"""Faults on demand: what spoils the wire, what the vehicle does wrong, and when.
+"""Faults on demand: impairments of the wire, errors of the vehicle, and their triggers.
 
 Kinds and their options (`direction` is in, out or both, as the vehicle sees it; times in vehicle seconds except the
 delays of the wire, which are the wall's)::
@@ -69,10 +69,10 @@ class Site(Protocol):
     """Impairments that its frames pass."""
 
     def add_twin(self) -> None:
-        """Another vehicle under the same system id."""
+        """Add another vehicle with the same system id."""
 
     def remove_twins(self) -> None:
-        """Take the others away."""
+        """Remove the other vehicles."""
 
 
 class Injector:
@@ -120,7 +120,7 @@ class Injector:
         return {"fault": len(self._faults) - 1}
 
     def _trigger(self, trigger: Any) -> tuple[float | None, int | None]:
-        """Vehicle time and count of PARAM_SETs at which to strike; neither: at once."""
+        """Vehicle time and count of PARAM_SETs at which a fault begins; neither: at once."""
         if trigger == "now":
             return None, None
         if isinstance(trigger, Mapping) and "time" in trigger:
@@ -132,7 +132,7 @@ class Injector:
         raise ControlError('trigger must be "now", {"time": t}, {"after_s": s} or {"nth_set": n}')
 
     def _check(self, fault: Fault) -> None:
-        """Refuse now what could not be carried out later."""
+        """Refuse a fault that could not be carried out later."""
         if fault.kind in PERSISTENT:
             _impairment_values(fault)
             _direction(fault)
@@ -148,13 +148,13 @@ class Injector:
             raise ControlError(f"unknown sensor {fault.options['sensor']!r}; known: {', '.join(SENSORS)}")
 
     def saw_set(self, count: int, name: str) -> None:
-        """A PARAM_SET has arrived and has not acted yet."""
+        """Apply faults due at a PARAM_SET that has arrived but not acted yet."""
         for fault in self._faults:
             if not fault.done and fault.nth_set == count:
                 self._strike(fault, name)
 
     def tick(self) -> None:
-        """Vehicle time has passed."""
+        """Apply faults that are due by vehicle time."""
         for fault in self._faults:
             if not fault.done and fault.at_time is not None and self._vehicle.time >= fault.at_time:
                 self._strike(fault, None)
@@ -166,7 +166,7 @@ class Injector:
         self._kinds[fault.kind](fault, name)
 
     def clear(self) -> None:
-        """End every fault that lasts, and forget those that wait."""
+        """End every lasting fault, and drop pending ones."""
         for fault in self._faults:
             fault.done = True
         self._echoes.clear()
@@ -213,7 +213,7 @@ class Injector:
         self._echoes.append((fault, int(finite("count", fault.options.get("count", 1)))))
 
     def _filter_echo(self, name: str, echo: Callable[[], None]) -> None:
-        """Decide what becomes of the echo of a PARAM_SET."""
+        """Send, drop or delay the echo of a PARAM_SET, by the faults."""
         for i, (fault, left) in enumerate(self._echoes):
             if fault.options.get("name", name) != name:
                 continue
@@ -232,7 +232,7 @@ class Injector:
     def _foreign_write(self, fault: Fault, name: str | None) -> None:
         target, value = fault.options.get("name", name), float(fault.options.get("value", 0.123))
         if target in self._vehicle.table:
-            # After the one that triggered it, as a rival's would arrive.
+            # After the PARAM_SET that triggered it, as from a competing ground station.
             delay = float(fault.options.get("delay_s", 0.0))
             self._vehicle.at(delay, lambda: self._vehicle.foreign_set(target, value))
 

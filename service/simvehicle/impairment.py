@@ -1,4 +1,4 @@
-"""A link that loses, doubles, delays, swaps, cuts and corrupts what passes, each direction by its own chances."""
+"""A link that loses, doubles, delays, swaps, cuts and corrupts frames, with chances for each direction."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REORDER_DELAY_S = 0.05  # how long a swapped frame is held back, wall time
 
 @dataclass(frozen=True)
 class Impairment:
-    """Chances per frame, 0..1, delays in wall seconds, and what the wire carries in bytes per wall second (0: all)."""
+    """Chances per frame, 0..1, delays in wall seconds, and capacity in bytes per wall second (0: unlimited)."""
 
     loss: float = 0.0
     duplication: float = 0.0
@@ -72,7 +72,7 @@ class FaultyLink:
         return self._link.sockets()
 
     def send(self, frame: bytes) -> None:
-        """Send one frame, or what is left of it, perhaps later, perhaps twice."""
+        """Send one frame with its impairments: cut, late or twice."""
         if self.cut:
             return
         if self.outgoing.clean and not self._held_out:
@@ -106,7 +106,7 @@ class FaultyLink:
 
     @property
     def holding(self) -> bool:
-        """Whether something that arrived is held back."""
+        """Whether a received frame is held back."""
         return bool(self._held_in)
 
     def received(self) -> Iterator[Received]:
@@ -130,7 +130,7 @@ class FaultyLink:
             yield from self._link.messages(heapq.heappop(self._held_in)[2])
 
     def flush(self) -> None:
-        """Send what was held back long enough."""
+        """Send frames whose delay is over."""
         if not self._held_out:
             return
         now = time.monotonic()

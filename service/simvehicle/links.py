@@ -276,5 +276,5 @@ def _send_datagram(sock: socket.socket, frame: bytes, target: Address) -> None:
     try:
         sock.sendto(frame, target)
     except OSError:
-        # Nobody listens, or the buffer is full: a datagram is lost, as datagrams are.
+        # Nobody listens, or the buffer is full: the datagram is lost.
         return

@@ -14,8 +14,8 @@ class MagReader:
     """Raw magnetometer readings (µT, chip frame) of all instances, new once a period.
 
     A driver's timer takes samples, and a task of the main loop reads their mean since it was last there. The task has
-    no phase in common with the timer or the streams, and comes a loop late at times: one reading averages a sample more
-    than the next, and a message carries a reading that is as old as the two are apart.
+    no fixed phase to the timer or the streams, and is sometimes one loop late. One reading may therefore average a
+    sample more than the next. The age of the reading in a message depends on the phase.
 
     Args:
         world: what is measured.
@@ -50,7 +50,7 @@ class MagReader:
         return self._phase + self._index * self._period + late
 
     def advance(self, until: float) -> None:
-        """Take all samples up to `until`: the motion must still be the one that was in force."""
+        """Take all samples up to `until`; the motion must not have changed in between."""
         last = int(np.floor(until / self._step + 1e-9))
         if last > self._taken:
             q, _ = self._world.motion.evaluate(np.arange(self._taken + 1, last + 1) * self._step)

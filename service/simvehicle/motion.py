@@ -1,7 +1,8 @@
 """The attitude and body rate of the vehicle as exact functions of vehicle time.
 
-A motion is one segment at a time, each in closed form, so that the gyroscope's truth is the exact derivative of the
-attitude: no integration error can hide in a calibration. The rate may jump between segments; the attitude never does.
+A motion is one segment at a time, each in closed form. The gyroscope's truth is then the exact derivative of the
+attitude, and no integration error can hide in a calibration. The rate may jump between segments; the attitude never
+does.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def _body_rate(phi: Array, phi_rate: Array) -> Array:
 
 
 class AttitudeChange:
-    """From one attitude to another about the shortest axis with a minimum-jerk profile, then what follows."""
+    """Turn from one attitude to another about the shortest axis with a minimum-jerk profile, then the next segment."""
 
     def __init__(self, q_from: Array, then: MotionSegment, start: float, duration: float) -> None:
         self._q_from, self._then, self._start, self._duration = q_from, then, start, duration
@@ -137,7 +138,7 @@ class TurntableTurn:
 
 
 class WholeTurns:
-    """A thread: so many turns about one body axis from rest to rest, at a steady rate between."""
+    """Whole turns about one body axis, as on a thread: from rest to rest, at a steady rate in between."""
 
     def __init__(self, q: Array, start: float, axis: Array, rate: float, turns: float) -> None:
         angle = 2.0 * math.pi * turns
@@ -158,8 +159,8 @@ class Tumble:
     """Smooth tumbling through all directions: Euler angles z, x, z at steady incommensurate rates.
 
     With q = q₀ ⊗ Z(a) ⊗ X(b) ⊗ Z(c) the body rate is ċ·e₃ + Zᵀ(c)·ḃ·e₁ + Zᵀ(c)·Xᵀ(b)·ȧ·e₃. Its length stays within
-    about ±17 % of the rate of the moment. That rate swells and fades about the asked one by SURGE of it, as a hand's
-    does: what a window of 100 ms does to a compass depends on it.
+    about ±17 % of the rate of the moment. That rate varies about the requested one by SURGE of it, as a hand's does.
+    The effect of a 100 ms window on a compass depends on it.
     """
 
     PROPORTIONS = (0.2638, 0.7907, 0.5523)  # of ȧ, ḃ, ċ to the mean rate; squares add up to 1
@@ -214,7 +215,7 @@ class CurrentMotion:
         return np.asarray(self.evaluate(np.array([t]))[0][0])
 
     def still(self, t: float) -> None:
-        """Stop where the vehicle is, without tremor: it stands on a bench."""
+        """Stop in the present attitude without tremor, as on a bench."""
         self._segment, self.name = AtRest(self.attitude(t)), "still"
 
     def hold(
@@ -272,7 +273,7 @@ class CurrentMotion:
         self._jolts.append((t, max(duration_s, 1e-3), vector))
 
     def restart(self, elapsed: float) -> None:
-        """Vehicle time begins again at zero after `elapsed` seconds: the motion itself goes on undisturbed."""
+        """Restart vehicle time at zero after `elapsed` seconds; the motion goes on undisturbed."""
         self._segment = ClockShifted(self._segment, elapsed)
         self._jolts = [(start - elapsed, duration, peak) for start, duration, peak in self._jolts]
 
@@ -289,7 +290,7 @@ class ClockShifted:
 
 
 def _pose(pose: str | Sequence[float]) -> Array:
-    """The attitude that is meant."""
+    """Quaternion of a pose."""
     if isinstance(pose, str):
         if pose not in FACES:
             raise ControlError(

@@ -16,13 +16,13 @@ CUSTOM_SWITCH = "CUST_ROT_ENABLE"
 
 
 def true_mounting(config: VehicleConfig, mag: int) -> Array:
-    """R body_from_sensor of a magnetometer as it is really mounted."""
+    """True R body_from_sensor of a magnetometer."""
     angles = true_angles(config, mag)
     return mounting_matrix(config.mag_orientations[mag]) if angles is None else matrix_from_degrees(*angles)
 
 
 def true_angles(config: VehicleConfig, mag: int) -> tuple[float, float, float] | None:
-    """Roll, pitch, yaw in degrees of a magnetometer that no number describes."""
+    """Roll, pitch, yaw in degrees of a magnetometer whose mounting has no number."""
     return config.mag_angles_deg[mag] if mag < len(config.mag_angles_deg) else None
 
 
@@ -46,8 +46,8 @@ def numbered_mounting(number: int) -> Array:
 class CustomRotations:
     """ArduPilot's two rotations by angles (AP_CustomRotations.cpp).
 
-    One is made of its angles when it is first used, or at boot where they are switched on; from then on its angles
-    act at the next boot only. The first use switches them on.
+    Each is made from its angles when first used, or at boot if they are switched on. Later changes of its angles act at
+    the next boot only. The first use switches them on.
     """
 
     def __init__(self, table: ParameterTable) -> None:
@@ -55,7 +55,7 @@ class CustomRotations:
         self._made: dict[int, Array] = {}
 
     def boot(self) -> None:
-        """Forget what was made; make all where they are switched on."""
+        """Reset both rotations, and make them where they are switched on."""
         self._made.clear()
         if self._table.get(CUSTOM_SWITCH):
             for number in ARDUPILOT_CUSTOM:
@@ -72,5 +72,5 @@ class CustomRotations:
         return self._made[number]
 
     def mounting(self, number: float) -> Array:
-        """R of a mounting number, be it that of a rotation by angles."""
+        """R of a mounting number, including those of rotations by angles."""
         return self.matrix(int(number)) if int(number) in ARDUPILOT_CUSTOM else numbered_mounting(int(number))

@@ -1,4 +1,4 @@
-"""Does with a simulated vehicle what a prompt asks the operator for.
+"""Moves a simulated vehicle as a prompt asks the operator to.
 
 Prompts are the plain data that the service sends: ``step``, ``pose``, ``remaining``, ``rotate``, ``direction`` …
 """
@@ -56,7 +56,7 @@ class Operator:
         self._temperature: float | None = None
 
     def follow(self, prompt: Mapping[str, Any] | None) -> None:
-        """Do what `prompt` asks for; None and prompts that ask for nothing new change nothing.
+        """Carry out `prompt`; None and repeated prompts change nothing.
 
         Raises:
             ControlError: the vehicle has gone.
@@ -123,7 +123,7 @@ class Operator:
         return self._doing == "tumble" or (isinstance(self._doing, tuple) and self._doing[0] == "turn")
 
     def _turn(self, axis: Sequence[float], turns: float | None) -> None:
-        """On the turntable; or, if `turns` are to be made, so many of them on a thread, from rest to rest."""
+        """Turn on the turntable; with `turns`, that many on a thread, from rest to rest."""
         self._turns = turns or self._turns
         self._once(("turn", tuple(axis), turns), "turn", axis=list(axis), rate_dps=self._turntable_dps, turns=turns)
 

@@ -1,4 +1,4 @@
-"""A vehicle's parameters: types, values, what is saved, what is really in force."""
+"""A vehicle's parameters: types, values, saved values, and values in force."""
 
 from __future__ import annotations
 
@@ -125,13 +125,13 @@ class ParameterTable:
         self._listing = None
 
     def pin(self, name: str) -> None:
-        """From now on the present value stays in force, whatever is written: accepted, but not applied."""
+        """Keep the present value in force: later writes are accepted, but not applied."""
         if name not in self._by_name:
             raise ConfigurationError(f"no parameter {name} to hold back")
         self._pinned[name] = self._by_name[name].value
 
     def unpin_all(self) -> None:
-        """Every stored value is in force again."""
+        """Put every stored value in force again."""
         self._pinned.clear()
         self.version += 1
 

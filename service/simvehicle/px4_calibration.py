@@ -1,4 +1,4 @@
-"""PX4's calibrations on board: those a ground station starts (texts, states, values), and the one PX4 does itself."""
+"""PX4's onboard calibrations: those a ground station starts (texts, states, values), and the one PX4 runs by itself."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Px4OnboardCalibration:
         self._until = -math.inf
 
     def boot(self) -> None:
-        """Nothing runs."""
+        """End any calibration at a boot."""
         self.running, self._until = None, -math.inf
 
     @property
@@ -103,11 +103,11 @@ class Px4OnboardCalibration:
         vehicle.at(WAIT_FOR_SIDES_S, give_up)
 
     def block(self, what: str) -> None:
-        """One that never ends: everything else is busy until a restart."""
+        """Start a calibration that never ends; all others are refused until a restart."""
         self._begin(what)
 
     def cancel(self) -> None:
-        """All parameters of 241 zero."""
+        """Cancel, as MAV_CMD 241 with all parameters zero does."""
         if self.running is not None:
             self._end("[cal] calibration cancelled")
 
@@ -164,7 +164,7 @@ class GyroWriter:
         self.boot()
 
     def boot(self) -> None:
-        """IMU_GYRO_CAL_EN is only looked at here: switching it off needs a restart."""
+        """Read IMU_GYRO_CAL_EN, which takes effect only at a restart."""
         self._enabled = self._vehicle.table.get("IMU_GYRO_CAL_EN", 1.0) != 0
         self._done = 0  # samples taken since vehicle time zero
         self._reset(0)
@@ -236,7 +236,7 @@ class GyroWriter:
         self._reset(sample)
 
     def _free_slot(self, claimed: Mapping[str, Value]) -> int:
-        """The first row that no gyroscope has."""
+        """The first row without a gyroscope."""
         taken = [claimed.get(f"CAL_GYRO{n}_ID", self._vehicle.table.get(f"CAL_GYRO{n}_ID")) for n in range(SLOTS)]
         return taken.index(0)
 

@@ -1,4 +1,4 @@
-"""PX4's commands: what it does, what it refuses, and what it says meanwhile."""
+"""PX4's commands: execution, refusals, and the texts meanwhile."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Parameters = list[float]
 
 
 class Px4Commands:
-    """COMMAND_LONG and COMMAND_INT."""
+    """Handles COMMAND_LONG and COMMAND_INT."""
 
     def __init__(
         self, vehicle: FlightController, sensors: Px4Sensors, parameters: Px4Parameters, messages: Px4Messages

@@ -1,4 +1,4 @@
-"""PX4's calibration in memory, which is not what its parameters say: small changes are ignored.
+"""PX4's calibration in memory, which may differ from its parameters: small changes are ignored.
 
 FLIGHT_CONTROLLERS 1.4: a loaded vector replaces the one in memory only if it is farther away than a threshold. After
 boot memory holds offset 0, scale 1, off-diagonal 0; the first gyroscope offset after boot is taken whatever its size.

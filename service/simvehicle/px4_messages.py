@@ -1,4 +1,4 @@
-"""Messages of PX4, the streams that carry them, and those that it sends unasked.
+"""Messages of PX4, the streams that carry them, and those sent by default.
 
 `Px4Readings` are the sensors at the instants of one tick, converted once for all messages that carry them.
 """
@@ -79,7 +79,7 @@ RADIO_STREAMS: dict[int, float] = {
 
 
 class BiasEstimate:
-    """One vector bias: follows the error of the corrected sensor, and wanders."""
+    """Estimate of one vector bias: follows the error of the corrected sensor, and wanders."""
 
     def __init__(self, wander: float, limit: float, rng: np.random.Generator) -> None:
         self._wander_sd, self._limit, self._rng = wander, limit, rng
@@ -101,7 +101,7 @@ class BiasEstimate:
 
 
 class Estimator:
-    """The three biases that PX4 subtracts from HIGHRES_IMU: they hide what a calibration looks for."""
+    """The three biases that PX4 subtracts from HIGHRES_IMU, which hide the errors that a calibration looks for."""
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng([seed, 3])
@@ -149,13 +149,13 @@ class Px4Readings(Readings):
         )
 
     def raw_mag(self, instance: int) -> Rows:
-        """Raw mGauss alone."""
+        """Raw field, mGauss."""
         rows: Rows = truncated(self._sensors.raw_mag(instance, self.state.t), MGAUSS_PER_GAUSS).tolist()
         return rows
 
     @cached_property
     def unbiased(self) -> tuple[Array, Array]:
-        """Primary accelerometer and gyroscope minus what the estimator takes for bias.
+        """Primary accelerometer and gyroscope minus the estimated biases.
 
         A wrong level (SENS_BOARD_*_OFF) turns all of them alike, which no estimator can tell from a vehicle that stands
         askew: it follows the accelerometers.
@@ -258,7 +258,7 @@ class Px4Messages(AutopilotMessages[Px4Readings]):
     def _sys_status(self, r: Px4Readings, i: int) -> Any:
         amps = r.block.current[i]
         volts = self._telemetry.battery_volts(amps)
-        # the bit of the arming checks is set among what is healthy alone (SYS_STATUS.hpp)
+        # the bit of the arming checks is set only in the health mask (SYS_STATUS.hpp)
         ready = self._vehicle.armed or not self._vehicle.arming_faults()
         health = SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK if ready else SENSORS
         return dialect.MAVLink_sys_status_message(
@@ -275,7 +275,7 @@ class Px4Messages(AutopilotMessages[Px4Readings]):
         return build
 
     def _mag_alone(self, message_class: Any, instance: int, r: Px4Readings, i: int) -> Any:
-        """A magnetometer without an inertial unit of that number is sent all the same, the rest as zero."""
+        """A magnetometer without an inertial unit of that number, sent with zeros for the rest."""
         if instance >= len(self._sensors.mags) or self._sensors.silent_mag(instance):
             return None
         mag = r.raw_mag(instance)[i]

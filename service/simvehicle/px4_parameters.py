@@ -148,8 +148,9 @@ def _baro() -> Iterator[SimParameter]:
 
 
 def mark_used(table: ParameterTable, *, thermal_runs: bool) -> None:
-    """List what the firmware has begun to use, for good: the rest of a slot whose id was set, and a TC_ group whose
-    switch was on while its module runs.
+    """List the parameters in use from now on.
+
+    They are the rest of a slot whose id was set, and a TC_ group whose switch was on while its module runs.
     """
     used = {
         match.group(1)

@@ -40,7 +40,7 @@ class Px4Parameters:
         return self._vehicle.table
 
     def boot(self) -> None:
-        """Everything is as stored."""
+        """Reset to the stored values."""
         self._unsaved.clear()
         self._lists.clear()
         self._last_save = -math.inf
@@ -127,7 +127,7 @@ class Px4Parameters:
             self.notify()
 
     def _store(self, name: str, value: Value) -> bool:
-        """Keep a value; whether the firmware counts that as a change (NaN never does)."""
+        """Store a value; True if the firmware counts that as a change (NaN never does)."""
         before = self._table[name].value
         parameter = self._table.store(name, value)
         self._unsaved.add(name)
@@ -142,7 +142,7 @@ class Px4Parameters:
         self.notify()
 
     def notify(self) -> None:
-        """parameter_update: sensors reload, the unsaved are repeated, a save is due."""
+        """Publish parameter_update: sensors reload, unsaved values are repeated, a save becomes due."""
         self.last_change = self._vehicle.time
         self._updated()
         self._repair_priorities()
@@ -158,7 +158,7 @@ class Px4Parameters:
             self._vehicle.at(wait, self._autosave)
 
     def _repair_priorities(self) -> None:
-        """A priority that does not exist becomes "uninitialised"."""
+        """Set invalid priorities to "uninitialised"."""
         for parameter in self._table:
             name = parameter.name
             if name.startswith("CAL_") and name.endswith("_PRIO") and parameter.value not in PRIORITIES:
@@ -183,7 +183,7 @@ class Px4Parameters:
         self.save()
 
     def save(self) -> None:
-        """Write everything unsaved to storage. One value that is not finite wrecks the save, and the vehicle."""
+        """Write everything unsaved to storage. One non-finite value breaks the save, and freezes the vehicle."""
         self._last_save = self._vehicle.time
         if any(not math.isfinite(p.value) for p in self._table):
             self.frozen = True

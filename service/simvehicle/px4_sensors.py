@@ -44,7 +44,7 @@ class Px4Sensors:
         self.boot()
 
     def boot(self) -> None:
-        """Empty memory, first load, and what only a restart changes."""
+        """Empty the memory, load it, and read settings that only a restart changes."""
         count = len(self.world.truth.accels)
         self.accels = [SensorMemory("ACC", names.ACCEL_IDS[k]) for k in range(count)]
         self.gyros = [SensorMemory("GYRO", names.GYRO_IDS[k]) for k in range(count)]

@@ -1,4 +1,4 @@
-"""Motion without an operator, in vehicle time."""
+"""Scripted motion without an operator, in vehicle time."""
 
 from __future__ import annotations
 

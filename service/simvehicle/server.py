@@ -1,4 +1,4 @@
-"""The loop of the process: sockets in, vehicle time forward, frames out, once a tick of the wall clock.
+"""Main loop: each tick of the wall clock reads the sockets, advances vehicle time and sends frames.
 
 The control channel has one JSON object a line over TCP on loopback, each answered by one.
 """
@@ -191,7 +191,7 @@ class SimServer:
         self._script = None
 
     def _step_script(self) -> None:
-        """Let the script act when its time has come, also across reboots of the vehicle."""
+        """Run the next step of the script when due, also across reboots of the vehicle."""
         if self._script is None or self.vehicle.elapsed < self._script_due:
             return
         wait = next(self._script, None)

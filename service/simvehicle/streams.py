@@ -1,4 +1,4 @@
-"""When a requested message is due, in vehicle time: each firmware's own rule."""
+"""Times at which a requested message is due, in vehicle time, by each firmware's rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages that both personalities send alike: position, attitude, battery, pressure, time."""
+"""Messages common to both personalities: position, attitude, battery, pressure, time."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def make_block(
 
 
 def estimated_attitude(state: MotionState, corrected_force: Array, trim: Array) -> Array:
-    """Attitude (N, 4) whose down direction is where the corrected accelerometer says it is, minus the level trim."""
+    """Attitude (N, 4) with the down direction of the corrected accelerometer, minus the level trim."""
     usable = np.isfinite(corrected_force).all(axis=1) & (np.linalg.norm(corrected_force, axis=1) > 1.0)
     seen = np.where(usable[:, None], corrected_force, state.force)
     tilt = shortest_rotation(seen, state.force)

@@ -66,10 +66,10 @@ class FlightController(ABC):
         self.alive = False  # False while rebooting
         self.silent_until = -math.inf
         self.sets: list[tuple[float, str, float]] = []
-        """When by :attr:`elapsed`, name and value."""
+        """PARAM_SETs received: time by :attr:`elapsed`, name and value."""
         self.set_count = 0
         self.own_writes: list[tuple[float, str, float]] = []
-        """Values that the vehicle stored unasked, in the form of :attr:`sets`."""
+        """Values that the vehicle stored by itself, in the form of :attr:`sets`."""
         self.on_set: Callable[[int, str], None] = lambda _count, _name: None
         self.on_reboot: Callable[[], None] = lambda: None
         self.echo_filter: Callable[[str, Callable[[], None]], None] = lambda _name, echo: echo()
@@ -85,11 +85,11 @@ class FlightController(ABC):
     flush_saves: Callable[[], None]
     """Store what waits to be saved."""
     foreign_set: Callable[[str, float], None]
-    """Another ground station writes a parameter."""
+    """Write a parameter as another ground station would."""
     start_onboard_calibration: Callable[[], object]
-    """The vehicle begins a calibration of its own."""
+    """Begin a calibration by the vehicle itself."""
     stop_onboard_calibration: Callable[[], object]
-    """The calibration that the vehicle began by itself is given up; harmless if there is none."""
+    """Stop the calibration that the vehicle began by itself; harmless if there is none."""
 
     @abstractmethod
     def make_table(self) -> ParameterTable:
@@ -105,7 +105,7 @@ class FlightController(ABC):
 
     @abstractmethod
     def sense(self, until: float) -> None:
-        """Bring everything that measures by itself up to a time."""
+        """Advance all sampling tasks to a time."""
 
     @abstractmethod
     def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
@@ -147,7 +147,7 @@ class FlightController(ABC):
     # --- time
 
     def first_due(self, channel: MavlinkChannel, message_id: int) -> float:
-        """When a stream that is asked for now may begin: one that runs already goes on without a break."""
+        """Time at which a stream requested now may begin; a running stream continues without a gap."""
         return self.time + (0.0 if message_id in channel.streams else self.config.stream_start_s)
 
     def at(self, delay: float, action: Callable[[], None]) -> None:

@@ -1,7 +1,6 @@
 """Frames in bytes: packing with a sequence number of each link, and reading what a ground station sends.
 
-Only pymavlink's dialect module is used. What arrives is hostile until its checksum holds: it is dropped in silence,
-as the firmwares do.
+Only pymavlink's dialect module is used. Input without a valid checksum is silently dropped, as in the firmwares.
 """
 
 from __future__ import annotations
@@ -41,10 +40,10 @@ class Received:
 
 
 class Signer:
-    """The key of a vehicle, once it has one: signs what leaves, and believes what is signed with it and newer.
+    """Signs outgoing frames with the vehicle's key, if it has one, and accepts newer frames signed with it.
 
-    mavlink.io, "Message signing": 13 bytes behind the checksum, link id, 48 bits of 10 us since 2015, and the first 48
-    bits of the SHA-256 of key, frame, link id and time.
+    Format (mavlink.io, "Message signing"): 13 bytes follow the checksum. They are the link id, 48 bits of 10 us since
+    2015, and the first 48 bits of the SHA-256 of key, frame, link id and time.
     """
 
     def __init__(self, key: bytes = b"") -> None:
@@ -53,7 +52,7 @@ class Signer:
         self._heard: dict[tuple[int, int, int], int] = {}
 
     def signed(self, frame: bytes, crc_extra: int) -> bytes:
-        """A frame as it leaves: as it is while there is no key."""
+        """The frame with a signature, or unchanged while there is no key."""
         if not self.key:
             return frame
         head = frame[:2] + bytes([frame[2] | dialect.MAVLINK_IFLAG_SIGNED]) + frame[3:-2]
@@ -92,7 +91,7 @@ class Packer:
         return self._signer.signed(frame, message.crc_extra)
 
     def pack_payload(self, message_class: Any, payload: bytes) -> bytes:
-        """A frame of a payload in wire order: for values that a Python float would alter (int32 in a float field)."""
+        """A frame from a payload in wire order, for values that a Python float would alter (int32 in a float field)."""
         body = payload.rstrip(b"\0") or b"\0"
         identifier = message_class.id
         header = struct.pack(
@@ -189,7 +188,7 @@ def split_datagram(data: bytes) -> list[Received]:
 def command_parameters(received: Received) -> list[float]:
     """The seven parameters of COMMAND_LONG or COMMAND_INT.
 
-    NaN, "not given", becomes 0, and what no int32 holds is cut to it: the firmwares' casts would be undefined.
+    NaN, "not given", becomes 0, and values beyond int32 are clipped: the firmwares' casts would be undefined.
     """
     m = received.message
     if received.name == "COMMAND_INT":

@@ -13,7 +13,7 @@ from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_ma
 from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
 
 HORIZON_S = 14400
-"""From here on the random walk of a bias stays where it is."""
+"""Time from which the random walk of a bias is constant, s."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class RandomWalk:
 
 @dataclass
 class Ramp:
-    """A quantity that moves in a straight line to its new value."""
+    """A quantity that changes linearly to its new value."""
 
     value: float = 0.0
     start_value: float = 0.0
@@ -137,8 +137,8 @@ class VibrationState:
 
 
 WALK_PER_NOISE = 1.7e-3
-"""Random walk of a bias in a root second, over the white noise of a sample at 50 Hz: the two are equal in the Allan
-deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
+"""Random walk of a bias in a root second, relative to the white noise of a sample at 50 Hz. The two are equal in the
+Allan deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class SimWorld:
         self.added: dict[tuple[str, int], Array] = {}
         """Offset that a fault adds to a reading, in the sensor's frame, by "accels", "gyros" or "mags" and instance."""
         self.bends: dict[int, Array] = {}
-        """How the mount of a compass is bent: a rotation in the body frame."""
+        """Rotation of a compass in the body frame by a bent mount."""
         self.field = np.asarray(config.field_ned_ut)
         self.gravity = np.array([0.0, 0.0, -config.gravity])
         self.sensor_from_body = mounting_matrix(config.board_orientation).T

@@ -1,7 +1,7 @@
-"""What the store asks of a database: one writer, one reader, transactions, and errors of ours.
+"""Interface of the store to a database: one writer, one reader, transactions, and our own errors.
 
-Statements are the same for every database. They hold to what SQLite and PostgreSQL share: ``?`` for a value, columns by
-name, ``ON CONFLICT``, ``RETURNING``; ``rowid`` is the order in which rows were put in. What differs is here.
+Statements are the same for every database. They use only what SQLite and PostgreSQL share: ``?`` for a value, columns
+by name, ``ON CONFLICT``, ``RETURNING``. The column ``rowid`` is the order of insertion. What differs is here.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Database(Session, Protocol):
         """Lock the writing connection to the calling thread."""
 
     def begin(self, *, durable: bool) -> None:
-        """Begin a transaction; what is not `durable` may be lost with the power, later transactions with it."""
+        """Begin a transaction; if not `durable`, a loss of power may lose it and later transactions."""
 
     def commit(self) -> None:
         """Commit the transaction; a durable one now survives a loss of power."""
 
     def rollback(self) -> None:
-        """Take back what was not committed; without a transaction nothing happens."""
+        """Roll back uncommitted changes; without a transaction nothing happens."""
 
     def in_order(self) -> None:
         """Lock the sequence that all writers share until the end of this transaction."""

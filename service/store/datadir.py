@@ -1,4 +1,4 @@
-"""One process owns a data directory."""
+"""Lock of a data directory, which one process owns."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class DataDirLock:
 
 
 RECORDED = ("tlogs/*.tlog", "recordings/*")
-"""What a database knows of; without it nobody can tell which job it belongs to."""
+"""Files that only the database assigns to jobs."""
 
 
 def require_database(data_dir: Path, *, empty: bool) -> None:

@@ -76,7 +76,7 @@ class FleetTables(SqlRows):
 
 
 def read_fleet(read: Read, unit_id: str | None = None) -> FleetRows:
-    """Everything about every unit, or about one, by whatever reads."""
+    """Everything about every unit, or about one, by the function `read`."""
     of = (unit_id, unit_id)  # null: of all
     units = read("SELECT * FROM fleet_units WHERE CAST(? AS TEXT) IS NULL OR unit_id = ? ORDER BY unit_id", of)
     sensors = read(
@@ -110,7 +110,7 @@ def _unit(row: Row) -> UnitRow:
 
 
 def _tags(text: str) -> tuple[str, ...]:
-    """A damaged row has no tag: whoever sees only tagged vehicles does not see it."""
+    """Tags of a row; a damaged one has none, so that users limited to tagged vehicles do not see it."""
     try:
         found = json.loads(text)
     except ValueError:

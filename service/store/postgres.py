@@ -39,7 +39,7 @@ PATIENCE = {
     "keepalives_count": "3",
     "application_name": "mavcal",
 }
-"""What a connection is made with unless its URL says otherwise: a host that has gone is noticed in 15 s."""
+"""Default options of a connection; a vanished host is noticed in 15 s."""
 
 _DISK_TROUBLE = {"53100", "58030"}
 WORDS = (
@@ -171,7 +171,7 @@ class PostgresDatabase:
             return psycopg.connect(self._url, autocommit=True)
 
     def _warn_of_settings(self) -> None:
-        """What the server is set to must not take back what a commit promises."""
+        """Warn of server settings that break the durability of a commit."""
         setting = self.execute("SELECT current_setting('synchronous_commit'), current_setting('fsync')")[0]
         self._keeps_more = setting[0] == "remote_apply"
         if setting[1] == "off":
@@ -256,8 +256,8 @@ def _with_patience(url: str) -> str:
 def to_postgres(sql: str) -> str:
     """A migration as PostgreSQL reads it.
 
-    A table without a number of its own gets the column ``rowid`` that SQLite's tables have: some rows are listed in the
-    order in which they were put in.
+    A table without a number of its own gets the column ``rowid`` that SQLite's tables have, because some rows are
+    listed in their order of insertion.
     """
     sql = _TABLE.sub(_numbered, sql)
     for theirs, ours in WORDS:

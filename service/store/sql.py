@@ -1,8 +1,8 @@
-"""Everything durable, in statements that every database takes.
+"""The durable state, in statements that every database takes.
 
-Every method that changes something returns only when the change would survive a loss of power, except those that say
-otherwise: events, and what has become of a campaign's items. Methods may be called from any thread;
-from an event loop those that write go through :meth:`Store.do` or :meth:`Store.soon`, which keep their order.
+A method that changes something returns only when the change would survive a loss of power. Exceptions say so: events,
+and the outcomes of a campaign's items. Methods may be called from any thread; from an event loop those that write go
+through :meth:`Store.do` or :meth:`Store.soon`, which keep their order.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ _JOBS_AT_ONCE = 100
 _NEEDED = ("jobs", "job_events", "journal", "snapshots", "plans", "segments", "audit")
 """Tables without which nothing may be written to a vehicle."""
 ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
-"""States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.core.states`, which a test compares."""
+"""States of jobs in which nothing proceeds by itself; as in :mod:`service.jobs.core.states`, which a test compares."""
 
 
 class Store(SqlItems, FleetTables):
     """Jobs, campaigns, fleet, uploads, links and audit trail in one database."""
 
     def obstacle(self) -> str | None:
-        """Why nothing may be written to a vehicle: a table is not there; None: all are."""
+        """Why nothing may be written to a vehicle: a missing table; None: all are there."""
         missing = [name for name in _NEEDED if not self._readable(name)]
         if not missing:
             return None

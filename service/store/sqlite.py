@@ -27,7 +27,7 @@ from mavcal.service.store.sqlrows import JOB, job_row
 DATABASE = "mavcal.sqlite3"
 
 MOST_ITEMS = 1_000_000
-"""Items that are read of a campaign at a time; it has fewer."""
+"""Limit of the items read of a campaign; no campaign has as many."""
 
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 

@@ -1,7 +1,7 @@
 """Items of campaigns, in statements that every database takes.
 
-An item that a loss of power takes back is done again. A killed process loses none, and a calibration that an item has
-begun is a job of its own; so these rows are not forced to the disk.
+These rows are not forced to the disk. An item lost in a loss of power is done again; a killed process loses none. A
+calibration begun by an item is a job of its own.
 """
 
 from __future__ import annotations

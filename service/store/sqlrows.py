@@ -34,7 +34,7 @@ class WriteLine:
         self._thread: int | None = None
 
     def soon(self, work: Callable[[], T]) -> Future[T]:
-        """Have `work` done after everything that was asked for before."""
+        """Future of `work`, which runs after everything requested before."""
 
         def run() -> T:
             self._thread = threading.get_ident()
@@ -46,7 +46,7 @@ class WriteLine:
         return future
 
     async def do(self, work: Callable[[], T]) -> T:
-        """The same, and wait for it. A cancelled caller leaves only when it is done: begun is finished."""
+        """Await `work`, run after everything requested before. A cancelled caller leaves only when it is done."""
         future = asyncio.wrap_future(self.soon(work))
         try:
             return await asyncio.shield(future)
@@ -59,13 +59,13 @@ class WriteLine:
             raise
 
     def caught_up(self) -> None:
-        """Block until everything that was asked for is done, unless this is the line's own thread."""
+        """Block until everything requested is done, unless called from the worker thread."""
         last = self._last
         if last is not None and not last.done() and threading.get_ident() != self._thread:
             wait([last])
 
     def close(self) -> None:
-        """Do what is left and end the thread."""
+        """Finish the remaining work and end the thread."""
         self._pool.shutdown(wait=True)
 
 

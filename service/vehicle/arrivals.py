@@ -1,7 +1,7 @@
 """Measured streams: rates by the vehicle's own time stamps, from the first sample on, and losses.
 
-A vehicle may begin a second after it was asked, and this process may be held up by others. Neither says anything of
-the link, so neither may count: the stamps do, the sequence numbers, and how old the youngest samples are.
+A vehicle may begin a second after the request, and this process may be held up by others. Neither tells anything about
+the link. The measures are therefore time stamps, sequence numbers and the age of the youngest samples.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ START_S = 5.0
 OTHERS_S = 3.0
 """Longest delay of a stream behind the first sample of any other, s."""
 LONGEST_S = 10.0
-"""A stream whose stamps go on too slowly is watched for no longer than this after the first sample."""
+"""Longest watch of a stream whose time stamps advance too slowly, s after the first sample."""
 _LOOK_S = 0.05
 _PARTS = 3
 _FEWEST = 9
-"""With fewer samples the oldest and the youngest third say nothing of delays."""
+"""Fewest samples from which the delays of the first and last third are compared."""
 
 
 class Meter:
-    """Counts one message: its own time stamps, and how long each was under way, up to a constant."""
+    """Counts one message: its time stamps, and their delays up to a constant."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -54,15 +54,15 @@ class Meter:
         return self.last - self.first if self.last != self.first else self.last_at - self.first_at
 
     def rate(self, wall_rate: float) -> float:
-        """Messages per second of the vehicle's time, or `wall_rate` where too few came to tell."""
+        """Messages per second of the vehicle's time, or `wall_rate` if too few came."""
         span = self.last - self.first
         return (self.count - 1) / span if self.count > 2 and span > 0 else wall_rate
 
     def queued(self) -> float:
         """Growth of the delay, s per s: above 0 a buffer on the way fills.
 
-        The youngest of the first third are compared with those of the last third: a process that is held up sees some
-        samples late, but never all of them.
+        The youngest samples of the first and the last third are compared: a process that is held up sees some samples
+        late, but never all.
         """
         span = self.last - self.first
         if span <= 0 or self.count < _FEWEST:
@@ -80,7 +80,7 @@ class Watch:
         self.meters = {message_id: Meter() for message_id in message_ids}
         self._vehicle = vehicle
         self._link = vehicle.link
-        """Link whose losses count, also where another one comes into use meanwhile."""
+        """Link whose losses are counted, even if another one comes into use meanwhile."""
         self._began: tuple[float, LinkStatistics] | None = None
 
     @property

@@ -12,13 +12,13 @@ from mavcal.calib.wire.codec import padded_payload
 from mavcal.calib.wire.frames import Frame
 
 _BACK_S = 1.0
-_BACK_COUNT = 3
-"""Older stamps in a row that mean a reboot; fewer are late messages."""
+_REBOOT_STAMPS = 3
+"""Number of older stamps in a row; fewer are late messages."""
 _KEPT = 8
 _APART_S = 0.2
-"""Stamps that are kept for comparison lie so far apart at least."""
+"""Least spacing of the time stamps kept for comparison, s."""
 _LEAST_SPAN_S = 0.5
-"""Over a shorter time nothing is said of how fast a clock runs: a simulated vehicle's may run faster than ours."""
+"""Shortest time over which the speed of a clock is judged, s; a simulated vehicle's may run faster than ours."""
 _COMPARED = 3
 _FAR_S = 5.0
 
@@ -81,7 +81,7 @@ class BootClock:
         restarted = False
         if self.latest is not None and stamp < self.latest - _BACK_S:
             self._backwards += 1
-            if self._backwards < _BACK_COUNT:
+            if self._backwards < _REBOOT_STAMPS:
                 return False
             self._stamps.clear()
             self.restarts += 1

@@ -1,7 +1,7 @@
 """The links over which one vehicle is heard, and which of them is in use.
 
-Whatever is sent goes out over one link, the one in use. Heartbeats and the echoes of writes count from every link; the
-rest of what is heard counts from the link in use alone, so that nothing counts twice.
+Everything is sent over one link, the one in use. Heartbeats and the echoes of writes count from every link. All other
+messages count only from the link in use, so that nothing counts twice.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class LinkChannel:
         self.last_heard: float | None = None
         self.last_heartbeat: float | None = None
         self.stated_at = now
-        """When the vehicle last said here who it is, or was found."""
+        """Time when the vehicle last stated its identity here, or was found."""
         self.stranger: str | None = None
         """Unique id of another unit that answers here while ours is heard elsewhere; None: there is none."""
         self.apart_since: float | None = None
-        """Since when its clock contradicts that of the link in use; None: it does not."""
+        """Time since which its clock contradicts that of the link in use; None: it does not."""
 
     def silent(self, now: float) -> bool:
         """Whether the last heartbeat over this link is more than 3 s older than what was read of it."""
@@ -90,7 +90,7 @@ class Channels:
 
     @property
     def heard_until(self) -> float:
-        """The time until which every link was listened to, s: now, or earlier where this program is late."""
+        """The time until which every link has been read, s: now, or earlier if this program is late."""
         return min(self._clock(), *(channel.link.heard_until for channel in self._all))
 
     def overdue(self) -> bool:
@@ -120,7 +120,7 @@ class Channels:
         return max(channels, key=_carries)
 
     async def caught_up(self) -> None:
-        """Return once everything that has arrived over any of them was handed on.
+        """Return once everything received over any of them has been passed on.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class Channels:
             raise error
 
     def restarted(self, restarts: int) -> None:
-        """Note a restart on every link that is silent now and cannot see it."""
+        """Note a restart on every link that is silent now and so cannot show it."""
         now = self._clock()
         for channel in self._all:
             if channel.silent(now) and channel.clock.restarts < restarts:

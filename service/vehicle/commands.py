@@ -1,4 +1,4 @@
-"""Commands: sent, acknowledged, and the dangerous ones never sent at all."""
+"""Commands: sending, acknowledgement, and a ban on dangerous ones."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _HARMLESS = frozenset(
         _MAG_CAL_CANCEL,
     }
 )
-"""Commands sent with any arguments. Whatever is neither here nor in ``_RULES`` is not sent."""
+"""Commands allowed with any arguments. A command neither here nor in ``_RULES`` is not sent."""
 
 
 def _calibration(params: Sequence[float]) -> str | None:
@@ -85,7 +85,7 @@ _RULES = {CALIBRATION: _calibration, STORAGE: _storage, REBOOT: _reboot, ARM: _d
 
 
 def check_allowed(command_id: int, params: Sequence[float]) -> None:
-    """Raise ForbiddenCommand for whatever can harm; there is no way round it."""
+    """Raise ForbiddenCommand for a command that can do harm; there is no override."""
     rule = _RULES.get(command_id)
     why = rule(params) if rule else None if command_id in _HARMLESS else "it is not among those that are needed"
     if why is not None:
@@ -112,7 +112,7 @@ async def command(
     Parameters
     ----------
     vehicle, command_id
-        Whom to tell what (MAV_CMD).
+        The vehicle, and the command (MAV_CMD).
     params
         Up to seven; missing ones are 0.
     timeout

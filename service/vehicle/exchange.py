@@ -1,6 +1,6 @@
-"""Exchanges of messages with a vehicle: whom they are with, how long an answer may take, and the wait for it.
+"""Exchanges of messages with a vehicle: the addressee, the time allowed for an answer, and the wait for it.
 
-Nothing sleeps: a wait is a future that a frame resolves, or a tick once its deadline has passed.
+Nothing sleeps: a wait is a future, resolved by a frame or by a tick after its deadline.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from mavcal.service.vehicle.state import VehicleState
 T = TypeVar("T")
 
 MOST_S = 5.0
-"""Nothing is waited for longer than this, however slow the answers have become."""
+"""Longest wait for an answer, s, however slow the answers have become."""
 _SMOOTHING, _SPREADING = 1 / 8, 1 / 4
 _SPREADS = 4.0
 _TRIPS = 100
-"""Whether so many questions were answered is remembered; a link may become worse or better."""
+"""Number of questions whose answers are remembered; a link may become worse or better."""
 MISSED = 1 / 200
-"""A parameter that exists may count as absent once in so many times."""
+"""Accepted chance that an existing parameter counts as absent."""
 MOST_SILENCES, FEWEST_SILENCES = 5, 2
 """Five: at 30 % loss each way a parameter that exists is missed once in 200 times. Two: one gap of the link proves
 nothing."""
@@ -42,7 +42,7 @@ class Expectation(Generic[T]):
         self._waits = waits
         self.message_ids = message_ids
         self.anywhere = anywhere
-        """Whether an answer counts that comes over another link than the one that is in use."""
+        """Whether an answer over a link that is not in use counts."""
         self._match = match
         self._answers: list[T] = []
         self._future: asyncio.Future[None] | None = None
@@ -56,7 +56,7 @@ class Expectation(Generic[T]):
         self._waits.remove(self)
 
     async def within(self, seconds: float) -> T | None:
-        """The next answer, or None once so many seconds have passed."""
+        """The next answer, or None after so many seconds."""
         if not self._answers:
             self._future = asyncio.get_running_loop().create_future()
             self._deadline = self._waits.clock() + seconds
@@ -86,7 +86,7 @@ class Expectation(Generic[T]):
 
 
 class Waits:
-    """All that a vehicle's tasks wait for."""
+    """All waits of a vehicle's tasks."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.clock = clock
@@ -116,7 +116,7 @@ class Waits:
         self._expectations.remove(expectation)  # type: ignore[arg-type]
 
     def feed(self, frame: Frame, *, beside: bool = False) -> None:
-        """Hand a frame to those who wait for its kind; `beside`: it came over a link that is not in use."""
+        """Pass a frame to the waits for its kind; `beside`: it came over a link that is not in use."""
         for expectation in list(self._expectations):
             if frame.message_id in expectation.message_ids and (expectation.anywhere or not beside):
                 expectation.feed(frame)
@@ -127,7 +127,7 @@ class Waits:
         return bool(self._expectations)
 
     def tick(self, now: float) -> None:
-        """End what has waited long enough; `now` is the time until which every frame was fed."""
+        """End expired waits; `now` is the time until which every frame was fed."""
         for expectation in list(self._expectations):
             expectation.tick(now)
 
@@ -177,7 +177,7 @@ class Pace:
         self._trips: deque[bool] = deque(maxlen=_TRIPS)
 
     def answered(self, seconds: float) -> None:
-        """Record the delay of an answer. Not for a question asked twice: which one was answered is unknown."""
+        """Record the delay of an answer; not for a question asked twice, since either may have been answered."""
         if self._mean is None:
             self._mean, self._spread = seconds, seconds / 2
             return
@@ -190,23 +190,23 @@ class Pace:
         Parameters
         ----------
         at_first
-            While no answer was timed yet.
+            The time while no answer has been timed.
         least
-            However fast they were.
+            The least time, however fast the answers were.
         """
         if self._mean is None:
             return at_first
         return min(max(self._mean + _SPREADS * self._spread, least), MOST_S)
 
     def trip(self, *, answered: bool) -> None:
-        """Count whether a question that has an answer was answered in time."""
+        """Record whether a question that has an answer was answered in time."""
         self._trips.append(answered)
 
     def silences(self) -> int:
         """Number of unanswered questions that proves absence: by loss alone it happens less than once in 200 times.
 
-        Nothing but the questions so far tells the share lost: any was equally likely before them. The chance of
-        k losses in a row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.
+        The share of losses is estimated from the questions so far, with a uniform prior. The chance of k losses in a
+        row is then the product of (lost + 1 + i) / (asked + 2 + i) for i below k.
         """
         asked, lost = len(self._trips), sum(not answered for answered in self._trips)
         chance, k = 1.0, 0

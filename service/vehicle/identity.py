@@ -78,7 +78,7 @@ class VehicleIdentity:
 
     @property
     def airframe(self) -> Airframe:
-        """The shape that a picture of it has: a multirotor, if nothing else is known."""
+        """Airframe to draw: a multirotor, if nothing else is known."""
         if self.vehicle_type in _PLANES:
             return Airframe.PLANE
         return Airframe.BOAT if self.vehicle_type in _ON_THE_GROUND else Airframe.MULTIROTOR

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from mavcal.service.vehicle.vehicle import Vehicle
 
 DEFAULT_INTERVAL = 0
-"""Interval that means: as the firmware would without us."""
+"""Interval that means the firmware's default."""
 ROUNDS = 6
-"""At 15 % loss each way, so many leave one of eight messages unanswered in one of 30 times."""
+"""Number of rounds. At 15 % loss each way, one of eight messages then stays unanswered in one of 30 cases."""
 ANSWER_S, ANSWER_LEAST_S = 1.0, 0.5
 ROUNDED = 0.1
 """Firmwares round intervals: an interval in force may differ by this share."""
 _DIFFERENT = 2
-"""Answers with another interval after which a message is asked for alone: it is refused, or slowed down."""
+"""Number of answers with another interval after which a message is requested alone: it is refused, or slowed down."""
 _INTERVAL, _ACK = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL, dialect.MAVLINK_MSG_ID_COMMAND_ACK
 _REFUSED = -1
 _Question = tuple[int, tuple[float, ...]]
@@ -44,7 +44,7 @@ async def set_interval(vehicle: Vehicle, message_id: int, interval_us: float) ->
 
 
 async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
-    """The interval in us as the vehicle says it (-1 off, 0 unknown to it), or None if it does not say."""
+    """The interval in us as stated by the vehicle (-1 off, 0 unknown to it), or None if it does not answer."""
 
     def match(frame: Frame) -> int | None:
         message = decode(frame)
@@ -64,7 +64,7 @@ async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
 
 
 async def get_intervals(vehicle: Vehicle, message_ids: Iterable[int]) -> dict[int, int]:
-    """The intervals in us as the vehicle says them; 0 is the firmware's default, also where it does not say."""
+    """The intervals in us as stated by the vehicle; 0 is the firmware's default, also where it does not answer."""
     wanted, way = tuple(message_ids), vehicle.way
     together = _Together(vehicle, wanted)
     await together.ask()
@@ -89,7 +89,7 @@ async def set_intervals(vehicle: Vehicle, intervals_us: Mapping[int, float]) -> 
 
 
 class _Together:
-    """Many messages, asked about in rounds until each is answered; set before each question where that is wanted."""
+    """Intervals of many messages, requested in rounds until each is answered, and set before each request if given."""
 
     def __init__(
         self, vehicle: Vehicle, wanted: Iterable[int], intervals_us: Mapping[int, float] | None = None
@@ -165,7 +165,7 @@ class _Together:
 
 
 def _note(vehicle: Vehicle, way: str, answered_us: Mapping[int, int]) -> None:
-    """Note what a link had where we have asked for nothing yet."""
+    """Note the intervals of a link for which nothing has been requested yet."""
     for message_id, interval in answered_us.items():
         if message_id not in vehicle.rates.requested_us:
             vehicle.rates.note_before(way, message_id, interval)
@@ -186,7 +186,7 @@ def _as_asked(asked_us: float, answered_us: int) -> bool:
 
 
 def _questions(vehicle: Vehicle, message_id: int) -> list[_Question]:
-    """How to ask for an interval, the way that this firmware answers first."""
+    """The requests for an interval; first the one that this firmware answers."""
     ask: list[_Question] = [
         (commands.GET_MESSAGE_INTERVAL, (message_id,)),
         (commands.REQUEST_MESSAGE, (_INTERVAL, message_id)),

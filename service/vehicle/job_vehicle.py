@@ -23,7 +23,7 @@ from mavcal.service.vehicle.streams import StreamReport, demand_streams, request
 from mavcal.service.vehicle.vehicle import Vehicle
 
 SLOW = 1.2
-"""Collecting the samples takes at least this many times as long before a job reports a slow link."""
+"""Slowdown of the collection of samples from which a job reports a slow link."""
 READS_IN_FLIGHT = 10
 """ArduPilot queues 20 reads and answers 5 at a time; what exceeds that is dropped (FLIGHT_CONTROLLERS 3.1)."""
 
@@ -84,7 +84,7 @@ async def _nobody_watches(_vehicle_id: str, _message_ids: Collection[int]) -> Ma
 
 
 class JobVehicle:
-    """One vehicle, also where it turned out to be one that was known on another link.
+    """One vehicle, even if it turned out to be one known on another link.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class JobVehicle:
         )
 
     async def caught_up(self) -> None:
-        """Return once everything that has arrived of it by now shows in `condition`. Raises LinkDown."""
+        """Return once everything received from it by now shows in `condition`. Raises LinkDown."""
         await self._vehicle.caught_up()
 
     async def identify(self) -> Identity:
@@ -261,7 +261,7 @@ class VehicleSource:
         return self._of(self._registry.get(vehicle_id))
 
     def nameless(self, identity: Identity) -> Sequence[JobVehicle]:
-        """Vehicles without a unique id of their own that say the same of themselves as `identity`, on any link."""
+        """Vehicles without a unique id whose stated identity equals `identity`, on any link."""
         alike = (identity.autopilot, identity.vehicle_type, identity.firmware, identity.system, identity.component)
         found = [self._of(vehicle) for vehicle in self._registry.all() if vehicle.identity.known]
         return tuple(

@@ -1,4 +1,4 @@
-"""Decides whether a vehicle that is heard on one more link is one that is known already (decision 44)."""
+"""Decides whether a vehicle on another link is one already known (decision 44)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ WAIT_S = 10.0
 CLOCK_S = 6.0
 """Longest wait for the clocks where the unique ids are equal, s: some firmwares send no time."""
 APART_S = 10.0
-"""Two clocks that contradict each other for so long are those of two vehicles; after a restart they differ for less."""
+"""Time after which contradicting clocks mean two vehicles, s; after a restart they differ for less."""
 _AGAIN_S = 10.0
 WITH_ID_S = 3.0
 """How far the clocks of two links to one unique id may differ: as long as a slow link may hold a message back."""
 WITHOUT_ID_S = 0.5
-"""The same where only the clock and the parameters speak for one unit."""
+"""The same limit where only clock and parameters indicate one unit."""
 
 TELLING = {
     Autopilot.ARDUPILOT: (
@@ -46,7 +46,7 @@ TELLING = {
         "CAL_MAG0_XOFF",
     ),
 }
-"""Sensors, starts and calibration: what two units without a unique id hardly share in every digit."""
+"""Parameters of sensors, starts and calibration, which two units hardly share in every digit."""
 
 
 class Kinship(StrEnum):
@@ -76,7 +76,7 @@ def clocks_agree(one: BootClock, other: BootClock, within_s: float) -> bool | No
 
 
 class Kin:
-    """Compares vehicles; keeps what it has read for that."""
+    """Compares vehicles, and keeps the parameters read for that."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -84,7 +84,7 @@ class Kin:
         self._reading: dict[tuple[Vehicle, Vehicle], asyncio.Task[None]] = {}
 
     def decide(self, vehicle: Vehicle, units: Sequence[Vehicle]) -> Vehicle | None:
-        """The unit that this vehicle is: itself, or one of `units`, which have its address; None while that is open."""
+        """The unit of this vehicle: itself, or one of `units`, which have its address; None while undecided."""
         others = [other for other in units if _comparable(vehicle, other, units)]
         if not vehicle.identity.known:
             waiting = self._clock() - vehicle.found_at < WAIT_S
@@ -144,7 +144,7 @@ class Kin:
             return
 
     def apart(self, vehicle: Vehicle) -> list[LinkChannel]:
-        """Links of a vehicle whose clock has contradicted that of the link in use for long."""
+        """Links of a vehicle whose clock has long contradicted that of the link in use."""
         if len(vehicle.channels) < 2:
             return []
         used, now, found = vehicle.channels.in_use, self._clock(), []

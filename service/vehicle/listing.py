@@ -1,4 +1,4 @@
-"""The complete parameter list of a vehicle, whatever gets lost on the way."""
+"""The complete parameter list of a vehicle, despite lost messages."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mavcal.service.vehicle.parameter_bits import Parameter
 from mavcal.service.vehicle.parameters import Parameters
 
 PIPELINE = 10
-"""Reads under way at once: ArduPilot queues 20 and answers 5 at a time, what is beyond is dropped."""
+"""Reads in flight: ArduPilot queues 20, answers 5 at a time, and drops the rest."""
 _FIRST_S, _QUIET_S = 3.0, 1.5
 _ANSWER_S, _NEXT_S = 1.0, 0.4
-"""Patience for the first answer to a few reads, and for each one after it."""
+"""Time to wait for the first answer to a few reads, and for each further one, s."""
 _LISTS = 3
 _READS = 6
 
@@ -75,9 +75,9 @@ class _Listing:
 
 
 async def list_all(vehicle: Addressee, known: Parameters, progress: Progress | None = None) -> ParameterSet:
-    """Read the whole list into `known`, which hears all that comes; gaps are asked for by index.
+    """The whole list, read into `known`; missing entries are requested by index.
 
-    One list at a time: two of them would take each other's values for their own.
+    One list is read at a time: two would take each other's values for their own.
 
     Raises
     ------

@@ -32,12 +32,12 @@ from mavcal.service.vehicle.parameter_bits import Parameter, bits_from_value, sa
 
 ANSWER_S = 1.0
 READ_LEAST_S = 0.5
-"""A vehicle whose answers come at once is asked again after so long: on a bad link it is loss, and asking is cheap."""
+"""Shortest time before a read is repeated, s; on a bad link the cause is loss, and a repetition is cheap."""
 TRIES = 3
 _MOST_TRIES = 16
 _GRACE_S = 0.3
 _WAYS = 3
-"""A write is tried over so many links, one after the other, as each falls silent."""
+"""Number of links over which a write is tried, one after the other, as each falls silent."""
 _VALUE, _ERROR = dialect.MAVLINK_MSG_ID_PARAM_VALUE, dialect.MAVLINK_MSG_ID_PARAM_ERROR
 _DOES_NOT_EXIST = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
 _ERRORS = {2: "the value is out of range", 3: "permission denied", 5: "it is read only", 6: "type unsupported"}
@@ -76,7 +76,7 @@ class Holder(Addressee, Protocol):
         """Name of the link in use: it changes when that falls silent and there is another one."""
 
     async def caught_up(self) -> None:
-        """Return once everything that it has said by now is known. Raises LinkDown."""
+        """Return once everything received from it by now is known. Raises LinkDown."""
 
     def require_writable(self, *, name: str = "", sent: int = 0) -> None:
         """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
@@ -126,7 +126,7 @@ class Parameters(Mapping[str, Parameter]):
         return unlisten
 
     def hear(self, frame: Frame) -> None:
-        """Take note of a PARAM_VALUE; one with an unknown type or a value that is no number is remembered too."""
+        """Store a PARAM_VALUE, including those of unknown type or with a value that is not a number."""
         heard = self._parameter(frame)
         if heard is None:
             return
@@ -303,7 +303,7 @@ class Parameters(Mapping[str, Parameter]):
             self._known[confirmed.name] = replace(confirmed, index=index)
 
     async def _transmit(self, message: RawMessage, name: str, sent: int) -> None:
-        """Send if the vehicle may be written to by everything that it has said until now, however late the loop is."""
+        """Send if the vehicle may be written to, by everything received until now, however late the loop is."""
         vehicle = self._vehicle
         try:
             await vehicle.caught_up()
@@ -317,7 +317,7 @@ class Parameters(Mapping[str, Parameter]):
     async def _settle(
         self, name: str, value: float, bits: bytes, kind: ParamType, sent: int
     ) -> Echo | ParameterRejected:
-        """No echo came: ask what the vehicle holds."""
+        """Read the value back, because no echo came."""
         try:
             held = await self.read(name)
         except VehicleError as exc:
@@ -344,9 +344,9 @@ class Parameters(Mapping[str, Parameter]):
         vehicle.send(dialect.MAVLink_param_request_read_message(vehicle.system, vehicle.component, encoded, index))
 
     def _patience(self, least: float = ANSWER_S, attempt: int = 0) -> float:
-        """Time to wait for an answer, longer with every attempt up to what is usual.
+        """Time to wait for an answer, longer with every attempt up to the usual time.
 
-        It is never quite the same: two programs that ask at once get out of step.
+        It varies a little, so that two programs asking at once get out of step.
         """
         self._jitter = (self._jitter + 0.618) % 1.0
         known = self._vehicle.pace.patience(ANSWER_S, least)
@@ -354,7 +354,7 @@ class Parameters(Mapping[str, Parameter]):
 
 
 def _refusal(vehicle: Addressee, frame: Frame, name: str) -> ParameterError | None:
-    """PARAM_ERROR, where a firmware sends it (most do not)."""
+    """The error that a PARAM_ERROR states (most firmwares send none)."""
     message = decode(frame)
     if message.param_id != name or message.target_system not in (0, vehicle.own.system):
         return None

@@ -51,9 +51,9 @@ class RateLedger:
     def __init__(self) -> None:
         self.watches: dict[str, LiveWatch] = {}
         self.requested_us: dict[int, float] = {}
-        """Intervals in us by message that were requested of the vehicle and not restored, on whichever link."""
+        """Intervals requested and not restored yet on any link, us by message."""
         self._before_us: dict[str, dict[int, int]] = {}
-        """Intervals in us by message as each link had them before: both firmwares keep a set for each port."""
+        """Earlier intervals of each link, us by message; both firmwares keep a set for each port."""
         self._returns: dict[RateUser, _Return] = {}
         self._hurry = asyncio.Event()
         self._following: asyncio.Task[None] | None = None
@@ -64,7 +64,7 @@ class RateLedger:
         return bool(self.watches) or any(self.returning(user) for user in RateUser)
 
     def join(self, other: RateLedger) -> None:
-        """Take over watches and returns of what turned out to be the same unit; not what was set on its links."""
+        """Take over watches and returns of a ledger of the same unit, but not the intervals set on its links."""
         self.watches |= other.watches
         taken = {user: found for user, found in other._returns.items() if not self.returning(user)}
         self._returns |= taken
@@ -74,7 +74,7 @@ class RateLedger:
             other._hurry.set()
 
     def wanted_hz(self, now: float) -> float:
-        """The fastest rate that anybody watches at; 0: nobody watches. Watches that have lapsed are forgotten."""
+        """The highest rate of any watch, Hz; 0: there is none. Lapsed watches are dropped."""
         self.watches = {key: watch for key, watch in self.watches.items() if watch.until > now}
         return max((watch.rate_hz for watch in self.watches.values()), default=0.0)
 
@@ -119,7 +119,7 @@ class RateLedger:
         return True
 
     def taken_over(self, user: RateUser) -> dict[int, int]:
-        """Stop returning the rates of this user; the caller takes over what still has to be returned."""
+        """Stop returning the rates of this user; the caller takes over the rest."""
         found = self._under_way(user)
         if found is None:
             return {}
@@ -155,12 +155,12 @@ class RateLedger:
         return message_id in self._before_us.get(way, {})
 
     def before_us(self, way: str, intervals: Mapping[int, int]) -> dict[int, int]:
-        """`intervals` (us), with those of this link where they were read on it."""
+        """`intervals` (us), replaced by those of this link where known."""
         known = self._before_us.get(way, {})
         return {message_id: known.get(message_id, interval) for message_id, interval in intervals.items()}
 
     def note_restored(self, way: str, message_ids: tuple[int, ...]) -> dict[str, dict[int, int]]:
-        """Note that these are restored on a link; returns what is to be restored on others, us by message by link."""
+        """Note these as restored on a link; returns those still to be restored on others, us by message by link."""
         left: dict[str, dict[int, int]] = {}
         for message_id in message_ids:
             self.requested_us.pop(message_id, None)
@@ -175,7 +175,7 @@ class RateLedger:
         self._before_us.pop(way, None)
 
     def begin_following(self, follow: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Another link is in use: have `follow` request the rates there; those of the one before are left alone."""
+        """Have `follow` request the rates on the link now in use; those of the previous link stay."""
         if self._following is not None:
             self._following.cancel()
         if self.requested_us:

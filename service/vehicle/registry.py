@@ -22,13 +22,13 @@ from mavcal.service.vehicle.streams import follow
 from mavcal.service.vehicle.vehicle import YIELD_S, Vehicle
 
 TICK_S = 0.05
-"""Period of the ticks of a vehicle from which an answer is waited for, s."""
+"""Tick period of a vehicle while an answer from it is awaited, s."""
 IDLE_TURNS = 5
 IDLE_S = IDLE_TURNS * TICK_S
-"""For any other one: only silence and old states are noticed then. By the clock, not by turns: a late event loop has
-few of them."""
+"""Tick period of any other vehicle, s, for silence and old states. It is measured by the clock, since a late event loop
+has few turns."""
 TOGETHER = 50
-"""Vehicles that have their turn in one go; what else the event loop has to do comes in between."""
+"""Number of vehicles ticked in one go; the event loop does its other work in between."""
 _AUTOPILOT_COMPONENT = 1
 _IDENTIFY_AGAIN_S = 10.0
 
@@ -58,7 +58,7 @@ class VehicleRegistry:
         self._kin = Kin(clock)
         self._ticker: asyncio.TimerHandle | None = None
         self._turns: list[tuple[int, tuple[str, int, int]]] = []
-        """Vehicles whose tick in this round is still to come, numbered."""
+        """Vehicles still to be ticked in this round, numbered."""
         self._period: dict[tuple[str, int, int], int] = {}
         """In which of its periods of :data:`IDLE_S` each vehicle had its last turn; they begin at different times."""
 
@@ -113,9 +113,9 @@ class VehicleRegistry:
     # --- vehicles ---------------------------------------------------------------------------------------------------
 
     def all(self) -> tuple[Vehicle, ...]:
-        """Every unit that was heard, in the order in which they were found.
+        """Every unit heard, in the order of discovery.
 
-        One that may still turn out to be another one is left out until that is decided.
+        A unit that may be one already known is left out until that is decided.
         """
         return tuple(vehicle for vehicle in self._units() if not vehicle.undecided)
 
@@ -195,7 +195,7 @@ class VehicleRegistry:
         return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
     def _part(self, unit: Vehicle, link: Link, why: str) -> Vehicle:
-        """Make a vehicle of its own of the unit on this link, which is not the one on the other links."""
+        """Split off the unit on this link, which is not the one on the other links, as a vehicle of its own."""
         heartbeat = unit.heartbeat
         unit.leave(link, why)
         return self._add(link, unit.system, unit.component, heartbeat)
@@ -262,7 +262,7 @@ class VehicleRegistry:
             callback(event)
 
     def _name(self, vehicle: Vehicle) -> str:
-        """From the unique id; by place if it has none, or if another vehicle has the same."""
+        """Id from the unique id; by place if there is none, or if another vehicle has the same."""
         uid2 = vehicle.identity.uid2
         if uid2 is None:
             return vehicle.id
@@ -288,7 +288,7 @@ class VehicleRegistry:
             task.cancel()
 
     async def _ask_who(self, vehicle: Vehicle) -> None:
-        """Until it answers: a vehicle that is still starting, or behind a bad link, is asked again later."""
+        """Ask for the vehicle's identity until it answers; it may still be starting, or have a bad link."""
         while True:
             try:
                 await vehicle.identify()

@@ -1,4 +1,4 @@
-"""What is known about a vehicle at this moment, and whether it may be written to.
+"""The present state of a vehicle, and whether it may be written to.
 
 :func:`reduce` is pure: a state, a message and a time make the next state. All times are of the monotonic clock.
 :func:`watch_calibration` reads every sign that a firmware gives of calibrating itself. Long texts come in chunks, by id
@@ -21,7 +21,7 @@ SILENT_S = 3.0
 """A vehicle whose last heartbeat is older than this is silent (FLIGHT_CONTROLLERS 3.2: heartbeat age < 3 s)."""
 DISARMED_S = 2.0
 LANDED_FRESH_S = 10.0
-"""A landed state older than this says no more than UNDEFINED."""
+"""Age from which a landed state counts as UNDEFINED, s."""
 KEPT_TEXTS = 50
 _CHUNKS_WAIT_S = 5.0
 _MOST_TEXTS_WAITING = 8
@@ -83,7 +83,7 @@ class VehicleState:
     _chunks: tuple[ChunkedText, ...] = ()
 
     def silent(self, now: float) -> bool:
-        """True if the last heartbeat is too old, or never came; `now` is the time until which it was listened to."""
+        """True if the last heartbeat is too old or missing; `now` is the time until which the link was read."""
         return self.last_heartbeat is None or now - self.last_heartbeat > SILENT_S
 
     def evidence(self, now: float) -> tuple[str, ...]:
@@ -120,7 +120,7 @@ def changed(state: VehicleState, **changes: Any) -> VehicleState:
 
 
 def reduce(state: VehicleState, message: Message, now: float, since: float | None = None) -> VehicleState:
-    """Take a message of this vehicle into account, which arrived between `since` (None: `now`) and `now`."""
+    """The state after a message that arrived between `since` (None: `now`) and `now`."""
     kind = message.get_type()
     state = changed(state, last_heard=now)
     if kind == "HEARTBEAT":
@@ -239,7 +239,7 @@ def _not_landed(state: VehicleState, now: float) -> str | None:
 
 
 def refuse(found: Writable, name: str, sent: int) -> NoReturn:
-    """Raise the error of the first of its reasons: `name` was sent so often, or "" for a write at all."""
+    """Raise the error of the first refusal; `name` was sent `sent` times, or is empty for any write."""
     doing = f"{name} was not written" if name else "Nothing is written"
     if sent:
         doing = f"{name} was sent {sent} times and not confirmed; it is not sent again"
@@ -281,12 +281,12 @@ _STALE_S = {
     CalibrationSign.MAG: 10.0,  # said again several times a second
     CalibrationSign.REPORT: 3.0,  # said again until it is accepted
 }
-"""How long after its last sign a calibration counts as running."""
+"""Time after its last sign for which a calibration counts as running, s."""
 
 
 @dataclass(frozen=True)
 class OnboardCalibration:
-    """A calibration that the vehicle runs by itself: what was heard of it, first and last time."""
+    """A calibration that the vehicle runs by itself: its sign, and when it was first and last heard."""
 
     sign: CalibrationSign
     text: str
@@ -294,14 +294,14 @@ class OnboardCalibration:
     last: float
 
     def over(self, now: float) -> bool:
-        """True if it was not heard of for so long that it must have ended unheard."""
+        """True if its last sign is so old that it must have ended unheard."""
         return now - self.last > _STALE_S[self.sign]
 
 
 def watch_calibration(
     running: OnboardCalibration | None, message: Message, texts: tuple[StatusText, ...], now: float
 ) -> OnboardCalibration | None:
-    """Take a message, and the texts that it completed, into account: the calibration that runs, or None."""
+    """The calibration that runs after a message and the texts it completed; None: none runs."""
     kind = message.get_type()
     if kind == "HEARTBEAT":
         return _calibrating(running, message, now)
@@ -347,9 +347,10 @@ def _text(running: OnboardCalibration | None, text: StatusText, now: float) -> O
 
 
 def _report(running: OnboardCalibration | None, message: Message, now: float) -> OnboardCalibration | None:
-    """ArduPilot repeats its report until it is accepted or cancelled; accepting writes parameters.
+    """The calibration that a MAG_CAL_REPORT shows.
 
-    PX4 sends the same message, with fitness 0 and no radius, whenever any parameter changes: that is no calibration.
+    ArduPilot repeats its report until it is accepted or cancelled; accepting writes parameters. PX4 sends the same
+    message, with fitness 0 and no radius, whenever any parameter changes: that is no calibration.
     """
     if message.fitness == 0 and message.autosaved == 0:
         return running
@@ -384,7 +385,7 @@ class ChunkedText:
         return len(last[1]) < CHUNK_BYTES and numbers == list(range(len(numbers)))
 
     def text(self, at: float) -> StatusText:
-        """The chunks that came, with a mark where one is missing."""
+        """The received chunks joined, with a mark where one is missing."""
         pieces = dict(self.pieces)
         gap = "…".encode()
         joined = joined_text(pieces.get(number, gap) for number in range(max(pieces) + 1))
@@ -394,7 +395,7 @@ class ChunkedText:
 def add_chunk(
     waiting: tuple[ChunkedText, ...], message: Message, now: float
 ) -> tuple[tuple[ChunkedText, ...], tuple[StatusText, ...]]:
-    """Take a STATUSTEXT; return the texts still waiting, and those now as complete as they will ever be."""
+    """The texts still incomplete after a STATUSTEXT, and those that are now final."""
     done = [chunked.text(now) for chunked in waiting if now - chunked.at > _CHUNKS_WAIT_S]
     waiting = tuple(chunked for chunked in waiting if now - chunked.at <= _CHUNKS_WAIT_S)
     if message.id == 0:

@@ -1,7 +1,7 @@
 """Streams: request them, measure them, and restore the earlier rates.
 
-An acknowledgement does not mean that a stream comes (PX4 accepts some and never sends them), nor at which rate
-(intervals are rounded): what counts is what is measured.
+An acknowledgement does not mean that a stream comes: PX4 accepts some and never sends them. Nor does it tell the rate,
+since intervals are rounded. Only the measured rate counts.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ if TYPE_CHECKING:
     from mavcal.service.vehicle.vehicle import Vehicle
 
 LATE_S, LATER = 0.4, 3.0
-"""Answers that take so long, and so many times as long as before the streams, have a full link before them."""
+"""Delay of answers, s and as a multiple of that before the streams, that means a full link."""
 GROWTH, GROWN_S = SHORT, 0.06
-"""A port that is asked for this share more than it carries makes answers later by as many seconds each second; less
-than so many seconds may be chance."""
+"""Relative overload of a port, by which answers get later in s per s; and the s below which that may be chance."""
 _ASKS, _ASKS_IDLE = 4, 2
-"""An answer may be late once by chance; if the quickest of so many is late, something stands before it."""
+"""Number of answers, with and without streams. One may be late by chance; if the quickest is late, a queue delays
+it."""
 _HARDLY = 0.7
 _DRAIN_ASKS = 6
-"""Answers, at most, that a full buffer is given time to empty for."""
+"""Most answers for which a full buffer is given time to empty."""
 MOST_CUTS = 3
 MEASURE_S = 2.0
-"""How long streams are watched, by the vehicle's own time stamps, before anything is concluded from them."""
+"""Time for which streams are measured, s by the vehicle's own time stamps."""
 FRESH_S = 60.0
 """Time, s, in which the assumed capacity of a slow link doubles while it is not measured again."""
 REMEMBERED_S = 600.0
-"""After this time nothing is known of a link."""
+"""Time after which a measured capacity is dropped, s."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class StreamRate:
 
     @property
     def delivered(self) -> bool:
-        """Whether any message of it arrives."""
+        """Whether any message of the stream arrives."""
         return self.wall_hz > 0
 
 
@@ -101,7 +101,7 @@ class StreamReport:
 
     @property
     def slowdown(self) -> float:
-        """How many times longer than at the requested rates it takes to collect as many samples; 1 if nothing."""
+        """Time to collect as many samples, relative to that at the requested rates; 1: no slowdown."""
         if self.capacity_bytes_per_s is None:
             return 1.0
         requested = {message_id: rate.requested_hz for message_id, rate in self.rates.items()}
@@ -113,7 +113,7 @@ class StreamReport:
         return tuple(message_id for message_id, rate in self.rates.items() if not rate.delivered)
 
     async def restore(self) -> tuple[int, ...]:
-        """Put the old intervals back; returns the messages for which that could not be confirmed."""
+        """Restore the old intervals; returns the messages for which that was not confirmed."""
         vehicle = self.vehicle.unit
         ledger, way = vehicle.rates, vehicle.way
         await ledger.followed()
@@ -183,7 +183,7 @@ class _Fitted:
 
 
 async def _fitted(request: _Request, planned: Mapping[int, float], measure_s: float) -> _Fitted:
-    """Ask; where the link does not carry it, ask for less in steps, and for all of it again if that did not help."""
+    """Request the rates; reduce them in steps if the link is too slow, and restore them if that does not help."""
     vehicle, ids = request.vehicle, tuple(planned)
     idle_s = await _answer_s(vehicle, ids, _ASKS_IDLE)
     await request.ask(planned)
@@ -230,7 +230,7 @@ def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mappi
 
 
 async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int], asks: int = 1) -> float:
-    """How long the vehicle takes to answer a small question, s: the quickest of `asks` answers."""
+    """Time that the vehicle takes to answer a small request, s: the quickest of `asks` answers."""
     took = []
     for _ in range(asks):
         began = vehicle.clock()
@@ -242,8 +242,8 @@ async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int], asks: int = 1)
 async def _late_s(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, asked_at: float) -> float:
     """How long answers wait behind the streams that were asked for at `asked_at`; 0: no longer than may be chance.
 
-    A large buffer takes half a minute to fill with the little that is asked for too much, and is never empty again:
-    every answer takes more than a second then. The growing delay shows it within a second.
+    A small overload takes half a minute to fill a large buffer, which is then never empty again. Every answer then
+    takes more than a second. The growing delay shows it within a second.
     """
     late: list[float] = []
     while len(late) < _ASKS:
@@ -269,7 +269,7 @@ async def _late_anyway(vehicle: Vehicle, message_ids: Sequence[int], idle_s: flo
 
 
 def _age_s(vehicle: Vehicle) -> float:
-    """Seconds since the link was seen to carry little; infinite if it never was."""
+    """Time since the link's capacity was measured, s; infinite if it never was."""
     return math.inf if vehicle.carried is None else vehicle.clock() - vehicle.carried[1]
 
 
@@ -296,7 +296,7 @@ class _Request:
         self._results: dict[int, int | None] = {}
 
     def hurry(self, rates_hz: Mapping[int, float]) -> None:
-        """Ask without waiting for answers: they stand in the queue that is to be relieved."""
+        """Request rates without waiting for answers, which would stand in the queue to be emptied."""
         for message_id, rate in rates_hz.items():
             self.vehicle.rates.requested_us[message_id] = _interval_us(rate)
             self.vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
@@ -317,7 +317,7 @@ class _Request:
         self._results |= await set_intervals(self.vehicle, {key: _interval_us(rate) for key, rate in slow_first})
 
     def samples(self, rates_hz: Mapping[int, float]) -> tuple[int, ...]:
-        """The streams of samples that may come."""
+        """The requested streams of samples."""
         refused = [key for key, result in self._results.items() if result not in (commands.ACCEPTED, None)]
         return samples(rates_hz, refused)
 
@@ -334,7 +334,7 @@ class _Request:
 
 
 async def follow(vehicle: Vehicle) -> None:
-    """Ask for the rates that are ours over the link that has come into use; what it had before is noted."""
+    """Request our rates over the link now in use, and note its earlier ones."""
     ledger, way = vehicle.rates, vehicle.way
     for message_id, interval in dict(ledger.requested_us).items():
         try:

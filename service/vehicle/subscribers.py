@@ -40,7 +40,7 @@ class Subscribers:
     def add(
         self, message_ids: frozenset[int], callback: FramesCallback, links: Iterable[Link], over: Link | None
     ) -> Callable[[], None]:
-        """One more, until the returned function is called; `over`: for frames of this link alone."""
+        """Add a subscriber until the returned function is called; `over`: for frames of this link alone."""
         key, subscriber = object(), _Subscriber(message_ids, callback, over)
         for link in links if over is None else (over,):
             subscriber.ask(link)
@@ -64,7 +64,7 @@ class Subscribers:
             subscriber.asked.pop(link.id, _nothing)()
 
     def hand_on(self, frames: Sequence[Frame], batch: Batch, link: Link, *, used: bool) -> None:
-        """Pass on the frames of a link; `used`: it is the one in use."""
+        """Pass on the frames of a link; `used`: the link is the one in use."""
         loop = asyncio.get_running_loop()
         for key, subscriber in list(self._all.items()):
             wanted = used if subscriber.over is None else subscriber.over is link

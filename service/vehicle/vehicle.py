@@ -37,17 +37,16 @@ from mavcal.service.vehicle.state import (
 from mavcal.service.vehicle.subscribers import FramesCallback, Subscribers, begun_at
 
 CONFLICT_S = 30.0
-"""A doubt about who is being talked to holds for so long after its last sign."""
+"""Time for which a doubt about the addressee holds after its last sign, s."""
 YIELD_S = 30.0
-"""A unit that has not said who it is for so long gives way to another one that answers to its system id.
-
-It is asked every 5 s: as long as both are there, both answer, and that stays a conflict."""
+"""Time after which a silent unit is replaced by another one with its system id, s. Identity is requested every 5 s:
+while both units are there, both answer, and the conflict stays."""
 _POLL_S = 2.0
 _WHO_S = 5.0
 _SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
 Announce = Callable[["Vehicle", VehicleEventKind, str], None]
-"""Told which vehicle, what happened to it, and the same in a sentence."""
+"""Called with the vehicle, the kind of event, and a sentence on it."""
 
 
 class Vehicle:
@@ -78,12 +77,12 @@ class Vehicle:
         self.state = VehicleState()
         self.waits = Waits(clock)
         self.pace = Pace()
-        """How fast it answers."""
+        """Pace of its answers."""
         self.parameters = Parameters(self)
         self.listed = False
-        """Whether every parameter was listed since the vehicle started: some are heard without being asked for."""
+        """Whether the whole list was read since the vehicle's start; some parameters are heard unrequested."""
         self.carried: tuple[float, float] | None = None
-        """Bytes per second that the link was seen to carry when more was asked of it, and when; None: never seen."""
+        """Capacity of the link measured under overload, bytes/s, and when; None: never measured."""
         self._announce = announce
         self._listing_lock = asyncio.Lock()
         self._command_locks: dict[int, asyncio.Lock] = {}
@@ -94,19 +93,19 @@ class Vehicle:
         self._yield_s = yield_s
         self.found_at = clock()
         self.settled = False
-        """Whether it was decided which unit this is: until then it may be one that is known on another link."""
+        """Whether it is decided which unit this is; until then it may be one known on another link."""
         self.undecided = ""
-        """Sentence on the open decision; empty: there is none. Nothing is written while one is open."""
+        """Sentence on the open decision, during which nothing is written; empty: there is none."""
         self.joined: Vehicle | None = None
-        """The vehicle that this one turned out to be, over another link."""
+        """The vehicle on another link that this one turned out to be."""
         self.gone = False
         """Whether it was closed."""
         self.rates = RateLedger()
         self._replaced = ""
         self.heartbeat = heartbeat
-        """The last one heard at this address, be it of another unit."""
+        """The last unique id heard at this address, even of another unit."""
         self.successor: str | None = None
-        """Unique id of another unit that answers here now, while this one has been gone for long enough."""
+        """Unique id of another unit that answers here after this one has been silent for long enough."""
 
     # --- talking ----------------------------------------------------------------------------------------------------
 
@@ -203,9 +202,9 @@ class Vehicle:
     def subscribe(
         self, message_ids: frozenset[int], callback: FramesCallback, *, over: Link | None = None
     ) -> Callable[[], None]:
-        """Hand this vehicle's frames of these messages to `callback`, until the returned function is called.
+        """Pass this vehicle's frames of these messages to `callback` until the returned function is called.
 
-        They are those of the link in use, whichever that is, or of the link `over`.
+        They are those of the link in use, or of the link `over`.
         """
         return self._subscribers.add(message_ids, callback, self.links, over)
 
@@ -259,7 +258,7 @@ class Vehicle:
         self.waits.feed(frame, beside=not used)
 
     def _hear_clock(self, stamp: float, channel: LinkChannel, now: float) -> None:
-        """A restart that any link shows counts, once."""
+        """Take in a time stamp; a restart that any link shows counts once."""
         channel.clock.see(stamp, now)
         channel.clock_heard = True
         if channel.clock.restarts > self.state.rebooted:
@@ -327,7 +326,7 @@ class Vehicle:
         return True
 
     def _moved(self, why: str) -> None:
-        """Another link is in use: what was learnt of the old one says nothing of it."""
+        """Discard what was learnt of the old link, because another one is in use."""
         self.pace, self.carried = Pace(), None
         self._emit(VehicleEventKind.MOVED, f"It is spoken to over {self.way} now: {why}.")
 
@@ -363,7 +362,7 @@ class Vehicle:
 
     @property
     def heard_until(self) -> float:
-        """The time until which it was listened to, s: now, or earlier where this program is late."""
+        """The time until which its links have been read, s: now, or earlier if this program is late."""
         return self.channels.heard_until
 
     @property
@@ -372,7 +371,7 @@ class Vehicle:
         return self.state.silent(self.heard_until)
 
     async def caught_up(self) -> None:
-        """Return once everything that has arrived of it by now is in its state. Raises LinkDown."""
+        """Return once everything received from it by now is in its state. Raises LinkDown."""
         await self.channels.caught_up()
 
     def writable(self) -> Writable:
@@ -420,9 +419,9 @@ class Vehicle:
         channel.clock_heard = False
 
     def _poll(self, now: float) -> None:
-        """Ask for what makes the state where the vehicle does not send it by itself; changes no setting.
+        """Request the messages that make the state if the vehicle does not stream them; no setting changes.
 
-        Who it is is asked again and again: two vehicles behind one address with one system id both answer.
+        Its identity is requested repeatedly: two vehicles behind one address with one system id both answer.
         """
         state, wanted = self.state, []
         if state.landed_at is None or now - state.landed_at >= _POLL_S:
@@ -446,7 +445,7 @@ class Vehicle:
             link.send(self._command_message(command_id, *params), (self.system, self.component))
 
     def mark_replaced(self) -> str:
-        """Another unit has taken this address: nothing is sent on behalf of this one any more. Returns why."""
+        """Stop sending to this unit, because another one has taken its address. Returns why."""
         self._replaced = (
             f"Another unit ({self.successor}) answers to system id {self.system} now; "
             f"{self.identity.uid2} was not heard for {self._yield_s:g} s."

@@ -1,4 +1,4 @@
-"""Computations in the database, as both sides see them: who asks, and who computes. Methods block."""
+"""Computations in the database, for the instance that requests them and the worker. Methods block."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True)
 class Computation:
-    """What is to be computed: a task of :mod:`service.children.tasks` with its order and limits."""
+    """A task of :mod:`service.children.tasks` with its order and limits."""
 
     id: str
     task: str
     body: Json
     starts: int
-    """How often a worker has begun it, this time included."""
+    """Number of starts by workers, this one included."""
 
 
 @dataclass(frozen=True)
 class HowFar:
-    """How far a computation is; `result` is None until it has ended."""
+    """Progress of a computation; `result` is None until it has ended."""
 
     said: str | None
     result: Json | None
 
 
 class Orders:
-    """The computations of a database; `wanted_s` is how long one is wanted after whoever waits last said so."""
+    """The computations of a database; one is wanted for `wanted_s` seconds after the last request for its progress."""
 
     def __init__(self, url: str, wanted_s: float) -> None:
         self._wanted_s = wanted_s
@@ -94,7 +94,7 @@ class Orders:
             return bool(self._database.read(sql, (order_id, worker)))
 
     def finish(self, order_id: str, worker: str, result: Json) -> None:
-        """Leave the result to whoever waits; one that another worker has taken meanwhile is left to that."""
+        """Store the result, unless another worker has taken the computation meanwhile."""
         text = json.dumps(result, allow_nan=False)
         self._run("UPDATE computations SET result = ? WHERE id = ? AND worker = ?", (text, order_id, worker))
 

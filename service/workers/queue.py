@@ -1,6 +1,6 @@
 """The queue that hands computations to workers, and paths of uploads in its orders.
 
-An upload is said by its name below the shared folder, wherever each side has that folder.
+An upload is named by its path below the shared folder, wherever each side has that folder.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def app_of(url: str) -> App:
 
 
 def lock_of(order_id: str, vehicle: str | None) -> str:
-    """Computations of one lock run one after the other: those on recordings of one vehicle."""
+    """Name of a lock, whose computations run one after the other: those on recordings of one vehicle."""
     return f"vehicle:{vehicle}" if vehicle else f"computation:{order_id}"
 
 
@@ -28,7 +28,7 @@ BELOW = "uploads:"
 
 
 def moved(value: Any, away: Path | None, to: Path | None) -> Any:
-    """`value` with paths below `away` said by name, and such names as paths below `to`; None: that is not done."""
+    """`value` with paths below `away` made names, and such names made paths below `to`; None skips the step."""
     if isinstance(value, dict):
         return {key: moved(part, away, to) for key, part in value.items()}
     if isinstance(value, list):

@@ -20,7 +20,7 @@ from mavcal.service.workers.queue import QUEUE, TASK, app_of, lock_of, moved
 
 log = structlog.get_logger(__name__)
 LOOK_S = 0.3
-"""How often a result is looked for."""
+"""Period of the look for a result, s."""
 
 
 class RemoteChildren:
@@ -37,7 +37,7 @@ class RemoteChildren:
     """
 
     most = 16
-    """Items of a campaign at a time. Nobody knows how many workers there are; the rest waits in the queue."""
+    """Items of a campaign at a time. The number of workers is unknown; excess items wait in the queue."""
 
     def __init__(self, url: str, uploads: Path, wanted_s: float) -> None:
         self._orders = Orders(url, wanted_s)

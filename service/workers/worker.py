@@ -1,7 +1,7 @@
 """A worker: takes computations out of the queue and has its own child processes do them, within their limits.
 
-It proves that it is alive by heartbeats of the queue. Computations of a worker that does not are given to another one,
-at most three times: a computation that ends workers is not worth a fourth.
+It proves that it is alive by heartbeats of the queue. Without heartbeats, its computations are given to another worker,
+at most three times, since a computation may itself end workers.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from mavcal.service.workers.queue import QUEUE, TASK, app_of, moved
 log = structlog.get_logger(__name__)
 MOST_STARTS = 3
 WATCH_S = 1.0
-"""How often it is asked whether somebody waits still."""
+"""Period of the check whether the computation is still wanted, s."""
 SWEEP_S = 3600.0
-"""Orders that nobody waited for in so long are forgotten."""
+"""Time after which unwanted orders are deleted, s."""
 BEATS_A_LEASE = 4
 
 

@@ -1,7 +1,7 @@
 """Doubts that an ArduPilot's parameters alone raise: corrupt values, and inertial units that learn their drift.
 
-A unit whose ``INS_TCALn_ENABLE`` is 2 records a warm-up from its next start on, and writes ``INS_TCALn_*`` when it is
-warm. Until then nothing corrects its drift (``AP_InertialSensor_tempcal.cpp``).
+A unit with ``INS_TCALn_ENABLE`` 2 records a warm-up from its next start, and writes ``INS_TCALn_*`` when warm. Until
+then its drift is not corrected (``AP_InertialSensor_tempcal.cpp``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MOTOR: Final = re.compile(r"COMPASS_P?MOT\d?_[XYZ]")
 
 
 def learning_units(parameters: Mapping[str, Value]) -> dict[int, str]:
-    """Inertial units that learn their temperature calibration: name of the parameter that says so, by instance."""
+    """Inertial units that learn their temperature calibration, with the name of the parameter, by instance."""
     names = {slot: ardupilot_imu_names(Sensor.GYRO, slot)[Role.THERMAL_ENABLE] for slot in range(ARDUPILOT_IMU_SLOTS)}
     return {slot: name for slot, name in names.items() if parameters.get(name) == LEARNING}
 

@@ -44,7 +44,7 @@ class LogReading:
     rounding: Rounding = Rounding.NONE
     healthy: str = ""
     most: float = np.inf
-    """No sensor reads more than this in the field's unit: what does is damage."""
+    """Largest valid reading in the field's unit; more is damage."""
 
     @property
     def quantum(self) -> float:
@@ -108,7 +108,7 @@ WANTED: Final = frozenset(
         *("FMTU", "UNIT", "MULT", "RATE", "MOTB", "XKF1", "NKF1", "EKF1", "XKQ1", "NKQ1", "RFND", "BARO", "FRAME"),
     }
 )
-"""Everything that a recording is made of."""
+"""Messages that a recording is made of."""
 
 TEXT_COLUMNS: Final = {
     "PARM": ("Name",),
@@ -122,7 +122,7 @@ TEXT_COLUMNS: Final = {
 
 
 def implied_parameters(parameters: Mapping[str, float], firmware: tuple[int, int, int] | None) -> dict[str, float]:
-    """Values that hold although no parameter says so, because the firmware is older than the parameter."""
+    """Values in firmwares older than the parameter."""
     old = firmware is not None and firmware[:2] < SOFT_IRON_SINCE
     if not old or "COMPASS_OFS_X" not in parameters or any(name.startswith("COMPASS_DIA") for name in parameters):
         return {}

@@ -1,9 +1,9 @@
-"""Motor outputs of an ArduPilot, and the drive that each pulse width means.
+"""Motor outputs of an ArduPilot, and the drive for each pulse width.
 
-A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse:
-thrusters of a sub (``AP_Motors6DOF``: 1500 us), throttles of rovers and boats (``SERVOn_TRIM``), throttles of planes
-with reverse thrust (``THR_MIN`` < 0), 3D speed controllers (``SERVO_BLH_3DMASK``). Sources: ``AP_MotorsUGV.cpp``,
-``AP_Motors6DOF.cpp``, ``SRV_Channel.cpp`` and ``ArduPlane/servos.cpp``.
+A range (copter, throttle of a plane) runs from rest at its least pulse. A reversible output rests at its neutral pulse.
+Such outputs are thrusters of a sub (``AP_Motors6DOF``: 1500 us) and throttles of rovers and boats (``SERVOn_TRIM``). So
+are throttles of planes with reverse thrust (``THR_MIN`` < 0), and 3D speed controllers (``SERVO_BLH_3DMASK``). Sources:
+``AP_MotorsUGV.cpp``, ``AP_Motors6DOF.cpp``, ``SRV_Channel.cpp`` and ``ArduPlane/servos.cpp``.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class MotorOutput:
     low: float
     high: float
     neutral: float | None = None
-    """The pulse at which it rests between two directions; None: it turns one way, from `low` on."""
+    """Neutral pulse between two directions; None: it turns in one direction, from `low`."""
     reversed: bool = False
 
     def drive(self, pulse: Array) -> Array:
-        """Drive that each pulse (us) means: 0..1, or -1..1 of a reversible output; 0 where there is no pulse."""
+        """Drive for each pulse (us): 0..1, or -1..1 for a reversible output; 0 without a pulse."""
         given = (pulse >= LEAST_US) & (pulse <= MOST_US)
         if self.neutral is None:
             share = (pulse - self.low) / (self.high - self.low)

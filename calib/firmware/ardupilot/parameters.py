@@ -1,4 +1,4 @@
-"""How ArduPilot corrects its sensors: the one place of its formulas (FLIGHT_CONTROLLERS 1.1-1.3).
+"""ArduPilot's sensor corrections: the only place with its formulas (FLIGHT_CONTROLLERS 1.1-1.3).
 
 =============  =====================================================================================================
 accelerometer  ``b = R_board (SCAL o (u - OFFS))``, ``u = s - P(clamp T) + P(clamp CALTEMP)`` if TCAL is enabled
@@ -94,7 +94,7 @@ def mounting(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> 
 
 
 def field_scale(value: float) -> float:
-    """Factor that the firmware applies for COMPASS_SCALE = `value`: the value inside its window, else 1."""
+    """Factor that the firmware applies for COMPASS_SCALE = `value`: the value within its window, else 1."""
     return float(value) if 1.0 / FIELD_SCALE_MAX <= value <= FIELD_SCALE_MAX else 1.0
 
 

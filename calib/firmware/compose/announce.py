@@ -1,4 +1,4 @@
-"""Losses and refusals that both autopilots have in common."""
+"""Losses and refusals common to both autopilots."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.recording import Array, Sensor
 
 ALIGNED = 1e-9
-"""rad; smaller turns are rounding."""
+"""Angle, rad, below which a rotation is rounding."""
 ROUNDED = 0.02
-"""Degrees; smaller turns are those of angles that are written with two decimals."""
+"""Angle, degrees, below which a rotation comes from angles written with two decimals."""
 SINGLE_PRECISION = 1e-5
-"""m/s2; what storing a scale as float32 may cost, and not worth a word."""
+"""Error, m/s2, of a scale stored as float32, which is not worth a message."""
 _BY_CHANCE = 0.05
-"""Chance at which terms that are truly zero still count as seen."""
+"""Probability at which truly zero terms count as significant."""
 _ONE_SIDED = 1.645
-"""Standard deviations of a bound that holds with 95 %."""
+"""Standard deviations of a one-sided 95 % bound."""
 
 
 def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
-    """Whether the undetermined offsets, if any, may stay as they are beside the others.
+    """Whether undetermined offsets, if any, may be kept beside the others.
 
-    `thermal`: a polynomial is in force that this fit does not replace; an offset may then not stay behind when the
-    temperature that it refers to is moved.
+    `thermal`: a polynomial is in force that this fit does not replace. An offset may then not be kept if its reference
+    temperature changes.
     """
     missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
     if not missing:
@@ -86,7 +86,7 @@ def field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses.
 
 
 def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
-    """Announce what of an accelerometer's matrix is left out if its scales are `stored` (3,)."""
+    """Announce the part of an accelerometer's matrix that is lost if its scales are `stored` (3,)."""
     cost = losses.largest_error(np.diag(stored), parts.symmetric, STANDARD_GRAVITY)
     if cost > SINGLE_PRECISION:
         cross = ", ".join(f"{c:.5f}" for c in parts.cross)
@@ -107,7 +107,7 @@ def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array,
 
 
 def _left(parts: losses.Parts, stored: Array, cost: float) -> str:
-    """In words, what stays of a matrix that is left out, with its uncertainty; a fit without one says the bound."""
+    """Text on the lost part of a matrix with its uncertainty, or with a bound if the fit has none."""
     left = np.concatenate((parts.diagonal - stored, parts.cross))
     covariance = parts.covariance[3:, 3:]
     if not (np.diag(covariance)[3:] > 0.0).all():
@@ -136,11 +136,11 @@ def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
 
 
 def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Array, new: Array) -> None:
-    """Announce what of a magnetometer's mounting the plan leaves.
+    """Announce the mounting error of a magnetometer that the plan leaves.
 
-    `old` and `new` (3, 3) take the sensor to the body, as stated now and by the plan. The whole correction is
-    ``old Q S (m - b)``; ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q: gravity may
-    have told the turn T by other than right angles, and ``T old new^T`` is left.
+    `old` and `new` (3, 3) take the sensor to the body, as stated now and by the plan. The whole correction is ``old Q S
+    (m - b)``; ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q: gravity may have
+    shown a rotation T by other than right angles, and ``T old new^T`` is left.
     """
     rotation = losses.split(fit).rotation
     orientation = fit.quality.get("orientation") or {}

@@ -7,7 +7,7 @@ Everything here acts at once, without a restart. TCALn_ENABLE is documented as n
 (value 2, latched at boot); the correction reads it with every sample. A plan that switches it to 1 therefore does not
 ask for a restart. If a firmware needed one, the physical check would show it.
 
-INS_TCALn hold ``P(t) = 1e-6 (C1 t + C2 t^2 + C3 t^3)``, ``t = clamp(T) - 35``; there is no constant, and one range of
+INS_TCALn hold ``P(t) = 1e-6 (C1 t + C2 t^2 + C3 t^3)``, ``t = clamp(T) - 35``; there is no constant. One range of
 temperature serves the accelerometer and the gyroscope of an instance.
 """
 
@@ -46,7 +46,7 @@ ORDERS: Final = (1, 2, 3)
 ENABLED: Final = 1
 CALTEMP_UNKNOWN: Final = -300.0
 REPEATABILITY: Final = MappingProxyType({Sensor.ACCEL: 0.005, Sensor.GYRO: np.radians(0.01)})
-"""How well an offset in force may be known, m/s2 and rad/s: the uncertainty at which the jobs end."""
+"""Uncertainty of an offset in force, m/s2 and rad/s: that at which the jobs end."""
 
 
 def recentre(degree: int, shift: float) -> Array:
@@ -124,7 +124,7 @@ def _refuse(draft: Draft, abouts: Sequence[Subject], why: str) -> None:
 
 
 def _reference_known(draft: Draft, pair: Pair, names: Mapping[Sensor, Names]) -> bool:
-    """Offsets against temperature are meaningless without the temperature that OFFS stands for."""
+    """Whether the temperature of OFFS is known, without which a drift fit cannot be written."""
     drift = pair.drift
     if drift is None or pair.absolute is not None:
         return True
@@ -202,7 +202,7 @@ def _has_coefficients(draft: Draft, names: Names) -> bool:
 
 
 def _clear_coefficients(draft: Draft, about: Subject, names: Names) -> None:
-    """Unmeasured coefficients are set to zero before the set is enabled: hidden ones may hold anything."""
+    """Set unmeasured coefficients to zero before the set is enabled, since hidden ones may have any value."""
     for order in ORDERS:
         for role in THERMAL[order]:
             draft.set_real(
@@ -279,10 +279,10 @@ def offset_to_write(draft: Draft, roles: Names, fit: FitResult) -> tuple[Array, 
 def _still_holds(
     draft: Draft, about: Subject, names: Names, offset: Array, covariance: Array, temperature: float
 ) -> bool:
-    """Whether the offset in force is what a drift fit finds at the very same temperature.
+    """Whether the offset in force agrees with a drift fit at its temperature.
 
-    Moving offset and CALTEMP along the fitted curve would change nothing that any stream could show, so nothing could
-    prove it; both are left alone.
+    Moving offset and CALTEMP along the fitted curve would not change any stream, and could not be proved; both are left
+    unchanged.
     """
     if temperature != draft.parameters.get(names[Role.TEMPERATURE]):
         return False

@@ -1,6 +1,6 @@
 """ArduPilot's code 76, which marks sensors as calibrated, so that the vehicle arms (FLIGHT_CONTROLLERS 1.1).
 
-The code marks every sensor of its kind. It is therefore sent only if every one in use deserves it (DESIGN 6).
+The code marks every sensor of its kind. It is therefore sent only if every one in use is calibrated (DESIGN 6).
 """
 
 from __future__ import annotations

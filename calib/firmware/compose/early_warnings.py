@@ -1,7 +1,6 @@
 """Warnings at the start of a warm-up: results that this vehicle cannot store, and its own recalibrations.
 
-A plan is composed as if the drift of every sensor had been measured well. What it says now is then what the real plan
-will say.
+A plan is composed as if the drift of every sensor had been measured well. Its warnings are then those of the real plan.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ OWN_OFFSETS: Final = (
 """``GyroCalibration::Run`` (PX4 src/modules/gyro_calibration); IMU_GYRO_CAL_EN is read by the start script only."""
 
 _MEASURED: Final = ThermalPolynomial(35.0, 10.0, 60.0, np.full((3, 3), [1e-2, 1e-4, 1e-6]))
-"""A drift that nothing could take for noise."""
+"""Assumed drift, far above any noise."""
 
 
 def unknown_sensors(identity: Identity, parameters: Mapping[str, Value], options: ComposeOptions) -> str:

@@ -1,9 +1,8 @@
 """Fits in the form that the composers need: sorted by content, then by sensor.
 
-Every fit has the form of a sensor model, but a level fit holds a neutral one and a motor fit the one in force. Taken
-for corrections they would claim, with perfect certainty, that the sensor has no error at all. So only
-:func:`contents` makes a :data:`Correction`, and everything that reads a model for what the sensor truly does takes
-nothing else.
+Every fit has the form of a sensor model. In a level fit this model is neutral, in a motor fit it is the one in force.
+Read as corrections they would state, with certainty, that the sensor has no error. So only :func:`contents` makes a
+:data:`Correction`, and code that needs the true sensor model takes nothing else.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
 Correction = NewType("Correction", FitResult)
-"""A fit whose model is what it found of the sensor."""
+"""A fit whose model is an estimate of the sensor."""
 
 NOT_HELD: Final = frozenset({G_SENSITIVITY})
-"""Methods whose offset belongs to a term that no firmware holds: the offset of a gyroscope free of gravity."""
+"""Methods whose offset belongs to a term that no firmware stores: that of a gyroscope without g-sensitivity."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Contents:
     levels: tuple[FitResult, ...]
     motors: tuple[FitResult, ...]
     others: tuple[FitResult, ...]
-    """Those that say nothing that a firmware could hold."""
+    """Fits without a result that a firmware could store."""
 
 
 def contents(fits: Sequence[FitResult]) -> Contents:
@@ -81,10 +80,9 @@ class Pair:
 
 
 def is_shape_only(fit: FitResult) -> bool:
-    """Whether a thermal fit determines only how the offset changes with temperature, and not its value.
+    """Whether a thermal fit determines only the change of the offset with temperature, not its value.
 
-    An accelerometer that lay in one pose all the time cannot tell its offset from the tilt of the pose; such a fit
-    holds the matrix fixed.
+    With one pose an accelerometer's offset cannot be told from the tilt; such a fit holds the matrix fixed.
     """
     if not fit.determined(*(f"offset_{a}" for a in AXES)) and fit.sensor == Sensor.ACCEL:
         return True
@@ -93,7 +91,7 @@ def is_shape_only(fit: FitResult) -> bool:
 
 
 def keeps_matrix(fit: FitResult) -> bool:
-    """Whether a compass fit left only matrix entries open, which it holds near those in force."""
+    """Whether a compass fit left only matrix entries undetermined, which it holds near those in force."""
     return bool(fit.quality.get("soft_iron_kept")) and all(name.startswith("matrix") for name in fit.undetermined)
 
 

@@ -35,9 +35,11 @@ ARDUPILOT_KINDS: Final[Mapping[str, int]] = {"throttle": 1, "current": 2}
 PX4_KINDS: Final[Mapping[str, int]] = {"throttle": 1, "current": 2}
 AMPERES_PER_KILOAMPERE: Final = 1000.0
 ABSURD_MGAUSS: Final = 1000.0
-"""COMPASS_MOT is documented from -1000 to 1000 mGauss; twice the Earth's field from one ampere is no compensation."""
+"""Largest plausible COMPASS_MOT, documented as -1000 to 1000 mGauss; twice the Earth's field per ampere is
+implausible."""
 ABSURD_GAUSS: Final = {1: 10.0, 2: 1000.0, 3: 1000.0}
-"""By CAL_MAG_COMP_TYP: twenty times the Earth's field at full thrust, or at one ampere."""
+"""Largest plausible compensation by CAL_MAG_COMP_TYP: twenty times the Earth's field at full thrust, or at one
+ampere."""
 
 
 def is_motor(fit: FitResult) -> bool:
@@ -59,7 +61,7 @@ def compensated(autopilot: str, parameters: Mapping[str, Value], instance: int) 
 def corrupt_compensation(autopilot: str | None, timeline: ParameterTimeline, instance: int) -> str:
     """A sentence that names the corrupt parameters of compass `instance`; empty: none is corrupt.
 
-    A compensation that is not a number makes the compass nothing, or zero, as soon as the motors run.
+    A compensation that is not a number makes the reading NaN, or zero, as soon as the motors run.
     """
     if autopilot not in {"ardupilot", "px4"} or not timeline:
         return ""
@@ -157,7 +159,7 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
 
 
 def _candidate(fit: FitResult, kind: str) -> Mapping[str, Any] | None:
-    """The term of that kind, where hidden parts of the flight want it; None: they do not."""
+    """The term of that kind if hidden parts of the flight support it; None: they do not."""
     candidate: Mapping[str, Any] | None = fit.native["candidates"].get(kind)
     return candidate if candidate is not None and candidate["proposed"] else None
 

@@ -25,9 +25,9 @@ from mavcal.calib.recording import Array, Sensor
 
 EXACT = 1e-6  # rad
 DECIMALS = 2
-"""Decimals of an angle that is written, in degrees: no fit is so good."""
+"""Decimals of a written angle, degrees, beyond the accuracy of any fit."""
 TOLERATED = 20.0
-"""Largest angle, degrees, at which the stated mounting may stay; the plan then says how far askew the compass is."""
+"""Largest angle, degrees, at which the stated mounting may be kept; the plan then states the misalignment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ def angle_names(roles: Mapping[Role, str]) -> tuple[str, ...]:
 def ask_for_mounting(
     draft: Draft, autopilot: str, about: Subject, turn: MountingRotation, change: tuple[str, int, int], angles: str = ""
 ) -> None:
-    """Say in words that a rotation parameter changes (name, old, new); nothing is written before that is confirmed.
+    """Block the plan until the change of a rotation parameter (name, old, new) is confirmed.
 
-    `angles`: what the new number stands for, where it is no number of the firmware's table.
+    `angles`: meaning of the new number if it is not in the firmware's table.
     """
     name, old, new = change
     stated = rotation_words(autopilot, old)
@@ -110,7 +110,7 @@ def ask_for_mounting(
 def mounting_turn(
     draft: Draft, autopilot: str, about: Subject, fit: FitResult, stated: Array, *, follows: str
 ) -> MountingRotation | None:
-    """The rotation by which the stated mounting is wrong; None: it is right, or the data do not show it.
+    """The rotation by which the stated mounting is wrong; None: it is right, or undetermined.
 
     `stated` (3, 3) takes the sensor to the body. `follows`: the parameter of the board that an internal compass
     follows; empty: the compass has its own.
@@ -179,7 +179,7 @@ def _as_chosen(
 def _small_rotation(
     draft: Draft, about: Subject, turn: MountingRotation, askew: float, follows: str
 ) -> MountingRotation | None:
-    """A turn so small that the stated mounting may stay: it is offered, and made if the operator confirms it."""
+    """The correction of a small mounting error, which the operator must confirm; None if the stated mounting stays."""
     if follows:
         draft.warn(
             f"{about} is mounted {askew:.0f} deg askew (turned by {turn.name}) and follows {follows}: it has no angles "

@@ -1,12 +1,12 @@
 """Turns fits into a write plan for either autopilot.
 
-What the firmware cannot store, ignores or overwrites is said in the plan (losses and warnings); what must not be
-written at all is a blocker. The plan is pure data; the service executes it.
+Losses and warnings of the plan state what the firmware cannot store, ignores or overwrites; values that must not be
+written are blockers. The plan is pure data; the service executes it.
 
-A sensor whose fit agrees with the calibration in force is not written, least of all with a restart. Its whole change
-(offset, scale or matrix, drift) is judged at once (:mod:`calib.firmware.significance`). Not judged are a sensor that
-was never calibrated; one whose id, rotation or temperature reference is new; and a drift measured over a wider range
-than the one in force.
+A sensor whose fit agrees with the calibration in force is not written, particularly if that needs a restart. Its whole
+change (offset, scale or matrix, drift) is judged at once (:mod:`calib.firmware.significance`). Some sensors are not
+judged: those never calibrated, and those whose id, rotation or temperature reference is new. Nor is a drift measured
+over a wider range than the one in force.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ COMPOSERS: Final[Mapping[str, tuple[Composer, Composer]]] = MappingProxyType(
 """By autopilot: for inertial sensors, for magnetometers."""
 NAMES: Final = MappingProxyType({"ardupilot": ardupilot.calibration_names, "px4": px4.calibration_names})
 NEWS: Final = frozenset({Rank.ROTATION, Rank.ID})
-"""A number of these ranks is no estimate that could agree."""
+"""Ranks of values that are not estimates and cannot agree."""
 WIDER: Final = 1.0
 """degC by which a drift must be measured beyond the range in force to be written for that alone."""
 UNKNOWN_TEMPERATURE: Final = -100.0
@@ -75,7 +75,7 @@ def compose(
     fits
         Fits of raw recordings (the calibration in force undone), every sensor and instance that was calibrated.
     parameters
-        The vehicle's parameters as they are now: the plan rests on them.
+        The vehicle's present parameters, on which the plan is based.
     fingerprint
         Whose plan it is.
     options
@@ -284,7 +284,7 @@ def _is_news(draft: Draft, autopilot: str, pair: Pair) -> bool:
 
 
 def _at_rest(fit: FitResult, old: TriadModel, new: TriadModel) -> Judged | None:
-    """Offset and matrix, in the frame of the raw sensor; what the fit leaves open stays as it is."""
+    """Change of offset and matrix, in the raw sensor frame; undetermined values are unchanged."""
     if fit.temperature is None and (old.polynomial is not None or new.polynomial is not None):
         return None
     offset = _bias(new, fit.temperature) - _bias(old, fit.temperature)
@@ -309,7 +309,7 @@ def _elements(model: TriadModel) -> Array:
 
 
 def _drift(fit: FitResult, old: TriadModel, new: TriadModel, *, whole: bool) -> Judged | None:
-    """Coefficients about the fit's reference, and the offset there if the fit says it (`whole`)."""
+    """Change of the coefficients about the fit's reference, and of the offset there if determined (`whole`)."""
     measured, planned = fit.model.polynomial, new.polynomial
     if measured is None or planned is None:
         return None

@@ -4,8 +4,8 @@
 corrects (:mod:`calib.firmware.compose.px4_memory`).
 
 TC_An and TC_Gn hold ``TC(T) = X0 + X1 d + X2 d^2 + X3 d^3``, ``d = clamp(T) - TREF``, in natural units, subtracted
-before CAL_*_OFF. TREF is free, so a fit is stored as it is. PX4 does not remember at which temperature CAL_*_OFF was
-taken; X0 takes up what keeps the offset right there.
+before CAL_*_OFF. TREF is free, so a fit is stored as it is. PX4 does not store the temperature of CAL_*_OFF; X0 is
+chosen so that the offset stays right there.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _set_coefficients(
 
 
 def _silent_first(draft: Draft, rows: Sequence[str]) -> None:
-    """Changes that ask for no save by themselves are written before those that do."""
+    """Order changes that do not trigger a save before those that do."""
     changes = draft.planned(rows)
     draft.reorder([c.name for c in sorted(changes, key=lambda c: asks_for_save(c.name, c.old or 0.0, c.new))])
 
@@ -219,7 +219,7 @@ def _silent_first(draft: Draft, rows: Sequence[str]) -> None:
 def add_constant(
     draft: Draft, about: Subject, more: Array, sd: Array, why: str = "too fine a change for PX4's calibration memory"
 ) -> None:
-    """Add `more` (3,) of an offset to the constant X0, which PX4 applies however small it is."""
+    """Add `more` (3,) of an offset to the constant X0, which PX4 applies regardless of its size."""
     roles = row_of(draft, about)
     for axis, role in enumerate(names.THERMAL[0]):
         draft.set_real(
@@ -301,7 +301,7 @@ def set_row(draft: Draft, about: Subject) -> bool:
 def _row_is_free(draft: Draft, about: Subject, name: str, held: int, filled: int) -> bool:
     """Whether the row by order may be taken, which holds the id `held`; else the sensor is refused.
 
-    Rows that hold an id are not always those of the sensors that stream: PX4 keeps the id of one that was taken away.
+    Rows with an id need not belong to streaming sensors: PX4 keeps the id of a removed one.
     """
     without = draft.options.without_row
     ask = (
@@ -385,10 +385,10 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
 
 
 def _rewritten_before_restart(draft: Draft, about: Subject) -> bool:
-    """Whether PX4 would rewrite a new gyro offset between its write and the restart that starts the compensation.
+    """Whether PX4 would rewrite a new gyro offset before the restart that starts the compensation.
 
-    Its gyro_calibration compares the offset with the mean of the gyro at the present temperature, 5 s after every
-    change. An offset that is right with the compensation only would not last until the restart; the one in force would.
+    Its gyro_calibration compares the offset with the gyro's mean at the present temperature, 5 s after every change. An
+    offset that is right only with the compensation would not last until the restart; the one in force would.
     """
     if about.sensor != Sensor.GYRO or int(draft.parameters.get(GYRO_WRITER, 0)) == 0:
         return False

@@ -1,7 +1,7 @@
 """Turns magnetometer fits into PX4's parameters (FLIGHT_CONTROLLERS 1.4).
 
-``b = L R S (m + p COMP - OFF)``: the offset is *subtracted*, in Gauss, in the *sensor's* frame, which is the frame of
-the raw stream; the whole symmetric matrix can be stored, as far as it differs enough from the neutral one.
+``b = L R S (m + p COMP - OFF)``: the offset is *subtracted*, in Gauss, in the *sensor's* frame, which is that of the
+raw stream. The whole symmetric matrix can be stored, if it differs enough from the neutral one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mavcal.calib.mag.free_rotation import Euler
 Array = NDArray[np.float64]
 
 EARTH_FIELD = 50.0
-"""uT, for the cost of a loss where the field was not known."""
+"""Field strength, uT, for the cost of a loss if the field is unknown."""
 
 
 def compose_magnetometers(draft: Draft, pairs: Sequence[Pair]) -> None:
@@ -120,7 +120,7 @@ def _lose(
 
 
 def _mounting_as_captured(draft: Draft, about: Subject, roles: Mapping[Role, str]) -> bool:
-    """Whether the row says, or will say, the mounting that the capture took for granted: that of the row by order."""
+    """Whether the row has, or will have, the mounting assumed in the capture: that of the row by order."""
     if placed(draft, about, draft.parameters) == about:
         return True
     by_order = px4.calibration_names(draft.parameters, about.sensor, about.instance)[Role.ROTATION]
@@ -142,7 +142,7 @@ def _mounting_as_captured(draft: Draft, about: Subject, roles: Mapping[Role, str
 def _set_rotation(
     draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation, before: Array
 ) -> Array | None:
-    """Plan the mounting that `turn` makes of `before` (L R); what will be in force (3, 3), None if it cannot be.
+    """Plan the mounting after `turn` of `before` (L R); returns the one in force (3, 3), None if impossible.
 
     The level adjustment L of the board acts behind the sensor's own rotation R: ``L R' = T L R``.
     """

@@ -1,10 +1,10 @@
 """Which of PX4's calibration vectors reach the memory that corrects, and in which order they must be written.
 
 A vector replaces the one in memory only if it differs by more than a threshold (FLIGHT_CONTROLLERS 1.4, 10). Two
-questions follow. *After a restart*, memory starts from the neutral vector: one within the threshold of neutral never
-comes into force, so neutral is written and the difference announced as a loss. *Now*, every single PARAM_SET loads the
-vector as it then stands: the components are written in an order that ends with all of them in memory, if there is one;
-otherwise the change takes effect with a restart.
+questions follow. *After a restart*, memory starts from the neutral vector. A vector within the threshold of neutral
+never comes into force, so neutral is written and the difference announced as a loss. *Now*, every single PARAM_SET
+loads the vector as it then is. The components are written in an order that ends with all of them in memory. Without
+such an order, the change takes effect with a restart.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Vector:
 
 
 def placed(draft: Draft, about: Subject, parameters: Mapping[str, Value]) -> Subject:
-    """The sensor that corrects with the row of `about`: PX4 assigns rows by order, so it may be another one.
+    """The sensor that corrects with the row of `about`, which may be another one since PX4 assigns rows by order.
 
-    An id that is planned changes the order of the filled rows. A magnetometer has the row of the device id that was
-    told, because its stream is raw; what was taken out of the others' by order is in their fits.
+    A planned id changes the order of the filled rows. A magnetometer has the row of its stated device id, because its
+    stream is raw; the fits of others contain the correction undone by order.
     """
     device_ids = draft.options.device_ids if about.sensor == Sensor.MAG else NO_DEVICE_IDS
     slot = px4_slot(draft.parameters, about.sensor, about.instance, device_ids)

@@ -1,14 +1,14 @@
 """The level trim: converted to a new accelerometer calibration, or measured again.
 
-Both firmwares say with two angles how the board is turned in the vehicle. ArduPilot turns the attitude, behind all
+Both firmwares describe the tilt of the board in the vehicle with two angles. ArduPilot turns the attitude, behind all
 streams (``AP_AHRS::update_trim_rotation_matrices``: vehicle from board is ``from_euler(trim)``); PX4 turns every sensor
-(``L = Euler(SENS_BOARD_X/Y/Z_OFF)``). When the vehicle is level, the board's accelerometer reads
-``v = L^T (0, 0, -g)``: -g times the third row of L, ``-g (-sin y, sin x cos y, cos x cos y)``, whatever the yaw. So
+(``L = Euler(SENS_BOARD_X/Y/Z_OFF)``). In a level vehicle the board's accelerometer reads ``v = L^T (0, 0, -g)``. That
+is -g times the third row of L, ``-g (-sin y, sin x cos y, cos x cos y)``, for any yaw. So
 
 ``x = atan2(-v_y, -v_z)``, ``y = atan2(v_x, sqrt(v_y^2 + v_z^2))``:
 
-the trim is the roll and pitch that the board reads when the vehicle is level, on both. A level that was measured with
-the old calibration is the raw reading that the old one turned into ``v_old``; the new one turns it into ``v_new``.
+the trim is the roll and pitch that the board reads when the vehicle is level, on both. The old calibration turned the
+raw reading of the measured level into ``v_old``. The new one turns the same raw reading into ``v_new``.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from mavcal.calib.triad import TriadModel
 
 AHRS_TRIM: Final = ("AHRS_TRIM_X", "AHRS_TRIM_Y")
 NOTICEABLE: Final = 1e-4
-"""rad; a smaller turn of the level is not worth a change."""
+"""Least change of the level that is written, rad."""
 
 NOTED: Final = 0.2
-"""deg; a larger turn of the level is said: a sensor that has changed since its level was measured makes it wrong."""
+"""Change of the level, deg, above which a warning is given: a sensor changed since the level was measured makes it
+wrong."""
 
 UNMEASURED: Final = 1e-6
 """rad; PX4's start scripts set SENS_BOARD_X_OFF to 1e-6 deg to mark a board as levelled that never was."""

@@ -34,7 +34,7 @@ SETTINGS: Final = (
     "SENS_MAG_AUTOCAL",
     "IMU_GYRO_CAL_EN",
 )
-"""Parameters beside the calibration itself that a plan reads before it decides."""
+"""Parameters other than the calibration that a plan depends on."""
 
 
 def fingerprint(identity: Identity, parameters: Mapping[str, Value]) -> Fingerprint:
@@ -89,7 +89,7 @@ BY_ITSELF: Final = REWRITTEN | CLAIMED_AT_REST
 def matters(name: str, sensors: Collection[Sensor]) -> bool:
     """Whether a result for `sensors` depends on this calibration parameter keeping its value.
 
-    The gyro only tells rest from motion where it is not calibrated itself, so its offsets may change meanwhile.
+    A gyro that is not calibrated itself only tells rest from motion, so its offsets may change meanwhile.
     """
     return Sensor.GYRO in sensors or name not in REWRITTEN
 

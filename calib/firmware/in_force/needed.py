@@ -1,7 +1,8 @@
 """Names of the parameters that a job needs, so that a slow link need not carry the whole list.
 
-A name that decides about others (a device id, a switch, a mounting) is read first: ask :func:`needed` again with what
-it said until nothing new is named. What is not named here is not looked at by :mod:`calib.firmware` for these sensors.
+A name that decides about others (a device id, a switch, a mounting) is read first. Call :func:`needed` again with the
+values read, until it names nothing new. Parameters that are not named are not used by :mod:`calib.firmware` for these
+sensors.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def _ardupilot_imus(sensor: Sensor, known: Mapping[str, Value], *, drift: bool) 
 
 
 def _roles(roles: Mapping[Role, str], *, thermal: bool) -> Iterator[str]:
-    """All of a row; its coefficients only where they count."""
+    """Names of a row; its coefficients only with `thermal`."""
     for role, name in roles.items():
         if thermal or role == Role.THERMAL_ENABLE or not role.value.startswith("thermal_"):
             yield name

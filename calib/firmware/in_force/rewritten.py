@@ -1,9 +1,9 @@
 """Samples whose gyro offsets in force are certain, while PX4 rewrites these offsets.
 
-PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to
-0.4 s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved.
-So a job reads the offsets every :data:`READ_EVERY_S`, and only samples between two readings that agree count. Those of
-every sensor are left out together: a gyro that pauses alone would be taken for a lost one.
+PX4's ``gyro_calibration`` rewrites CAL_GYROn_*OFF of a vehicle that warms up at rest. It sends the new value up to 0.4
+s after it acts. It sends nothing if the value was saved before: ``mavlink_parameters.cpp`` sends what is unsaved. So a
+job reads the offsets every :data:`READ_EVERY_S`, and only samples between two readings that agree count. Samples of
+every sensor are left out together: a gyro that pauses alone would look lost.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ READ_EVERY_S: Final = 2.0
 HOLD_S: Final = 5.0
 """How long samples wait for the reading after them, s: two readings, and the time that one takes."""
 REGULAR: Final = 3
-"""Readings of a known value that show that the offsets are read regularly, and not sent on a change alone."""
+"""Repeated readings that show that the offsets are read regularly, not only sent on a change."""
 _PX4_SAYS: Final = re.compile(r"^\[vehicle_magnetometer\] (\d+) \(\d+\) EST:\d+ offset: ")
 """PX4 stores what its estimator learned when it disarms (``VehicleMagnetometer.cpp``): the parameter changes later."""
 _OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ardupilot>[23]?)_[XYZ])$")
@@ -35,8 +35,8 @@ _OFFSETS: Final = re.compile(r"^(?:CAL_MAG(?P<px4>\d)_[XYZ]OFF|COMPASS_OFS(?P<ar
 class CertainOffsets:
     """Drops samples between the last reading of an old offset and the first reading of the new one.
 
-    Where the offsets are not read regularly (a log of somebody else) it leaves this to
-    :class:`~calib.firmware.in_force.undo.Undo`, which trusts what the firmware tells.
+    If the offsets are not read regularly (as in a foreign log), it leaves this to
+    :class:`~calib.firmware.in_force.undo.Undo`, which trusts the reported values.
 
     Parameters
     ----------

@@ -39,10 +39,11 @@ from mavcal.calib.triad import TriadModel
 
 GUARD_BEFORE_S: Final = 0.5
 GUARD_AFTER_S: Final = 0.1
-"""Samples so near to a change are left out: it acts before its echo, and the firmware's filter still rings after it."""
+"""Time, s, around a change that is left out: it acts before its echo, and the firmware's filter still settles after
+it."""
 PX4_BATTERIES: Final = 2
 MIXING: Final = 0.1
-"""A rotated axis that takes at least this much from an axis in its zero bin counts as lying in it."""
+"""Least component of an axis in its zero bin for a rotated axis to count as in the zero bin."""
 Key = tuple[Sensor, int]
 Parameters = dict[str, Value]
 PX4_KEYS = tuple((sensor, instance) for sensor in CALIBRATED for instance in range(PX4_SLOTS))
@@ -87,7 +88,7 @@ class Piece:
         return Piece(t, parameters, memory, frozenset(changes))
 
     def throughout(self) -> Piece:
-        """The same without a beginning."""
+        """The same span, valid from any earlier time."""
         return dataclasses.replace(self, start=-np.inf)
 
     def model(self, autopilot: str, key: Key) -> TriadModel:
@@ -162,9 +163,9 @@ def undo(recording: Recording) -> Recording:
 class Undo:
     """Undoes the calibration chunk by chunk, and remembers parameters, temperatures and motor currents.
 
-    A parameter counts from its first sight on for everything before; every later change counts from its time, and
-    samples within half a second of a change that matters to them are left out. On PX4 each change goes through the
-    thresholds of its memory, which starts as after a boot with the first values seen.
+    The first value of a parameter also applies to all earlier times; later changes apply from their time. Samples
+    within half a second of a relevant change are left out. On PX4 each change goes through the thresholds of its
+    memory, which starts as after a boot with the first values seen.
 
     Parameters
     ----------
@@ -297,8 +298,8 @@ class Undo:
 def _together(changes: Mapping[float, Parameters], entry: ParameterEntry) -> float:
     """The time from which a change counts: that of the same gyro's other axes, if they changed just before.
 
-    PX4's gyro_calibration stores the three axes of an offset at once. PX4's memory takes or leaves them by the
-    length of the whole change. They are told one after the other.
+    PX4's gyro_calibration stores the three axes of an offset at once. PX4's memory takes or leaves them by the length
+    of the whole change. They are reported one after the other.
     """
     if entry.name not in REWRITTEN_AT_REST:
         return entry.t
@@ -342,10 +343,10 @@ def _turned(zero_bin: NDArray[np.bool_] | None, matrix: Array) -> NDArray[np.boo
 
 
 class KnownCalibration:
-    """Leaves samples out that are older than the first reading of the last of `names`.
+    """Leaves out samples before all of `names` have been read.
 
-    A vehicle may have rewritten one of them before: it would take off a calibration that was not in force. Chunks
-    follow each other. Positions stay: nothing is taken off them.
+    A vehicle may have rewritten one of them before, and a calibration not in force would be undone. Chunks are
+    consecutive. Positions are kept, since nothing is undone on them.
     """
 
     def __init__(self, names: Collection[str]) -> None:

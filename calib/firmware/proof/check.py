@@ -1,12 +1,11 @@
 """The check of one sensor's stream against every combination of the changes that act on it.
 
-Samples of a turned compass that no combination explains are left out. A firmware reads a compass in a task of its own
-and streams the mean since its last reading. A late task on a turning vehicle averages over a longer arc, and the sample
-is too short: 6 mG in all three compasses of an ArduCopter on a busy machine, beside a scatter of 0.5 mG. Passing iron
-has the same effect. One such sample must not decide about a write.
-
-Each hypothesis pays :data:`PRICE` for a sample that it leaves out, so none can drop contradicting data more cheaply
-than another explains them. The cheapest hypothesis decides which samples all of them leave out.
+Samples of a turned compass that no combination explains are left out. A firmware reads a compass in a separate task and
+streams the mean since its last reading. A late task on a turning vehicle averages over a longer arc, and the vector
+becomes shorter. On a busy machine this was 6 mG in all three compasses of an ArduCopter, with a scatter of 0.5 mG.
+Passing iron has the same effect. One such sample must not decide about a write. Each hypothesis pays :data:`PRICE` for
+an omitted sample, so none can drop contradicting data more cheaply than another explains them. The cheapest hypothesis
+decides which samples all of them leave out.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 ALL_APPLIED: Hypothesis = frozenset()
 _UNOBSERVABLE: Final = 1e-3
-"""Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""
+"""Distance below which a check does not determine a direction; its standard deviation is then a thousand effects."""
 TEMPERATURE_SLACK: Final = 0.3
 """degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
 PRICE: Final = 5.0
-"""Standard deviations that a sample must be off, by all the others, to be left out; its square is what that costs."""
+"""Standard deviations by which a sample must deviate from the others to be left out; the square is its price."""
 MOST: Final = 0.2
 """Share of the samples that may be left out."""
 
@@ -92,7 +91,7 @@ class Corrections:
         return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
 
     def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[StillMean]) -> Array:
-        """Stream of `raw` (K, 3) under the conditions of `readings`."""
+        """Streamed readings (K, 3) of `raw` (K, 3) if `refused` did not take effect."""
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
 
@@ -226,7 +225,7 @@ def _capture(
 def within(polynomial: ThermalPolynomial | None, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
     """`readings` at temperatures where the drift is known: beyond these the firmware clamps it.
 
-    Readings without a temperature stay: what is not known of them is in the covariance.
+    Readings without a temperature are kept, with their uncertainty in the covariance.
     """
     if polynomial is None:
         return readings
@@ -331,7 +330,7 @@ def _cheapest(
     pull = precision @ vector
     cost = float(vector @ pull)
     for _ in range(most):
-        # each row by all the others that are left: its distance from what they say of it, squared
+        # squared distance of each row from its prediction by the other remaining rows
         squares = np.where(candidates & ~out, pull**2 / np.maximum(np.diag(precision), np.finfo(float).tiny), 0.0)
         worst = int(squares.argmax())
         if squares[worst] <= PRICE**2:

@@ -32,13 +32,14 @@ Undo = Callable[[Sequence[StillMean]], Array]
 
 EARTH_RATE: Final = 7.292115e-5  # rad/s (WGS 84); inside a gyroscope's fitted offset, and different in every attitude
 ATTITUDE_SD: Final = np.radians(0.05)
-"""How still a vehicle lies between two captures that nobody touched it in: a table that someone leans on."""
+"""Standard deviation of the attitude change of an untouched vehicle between captures, rad: a table that someone leans
+on."""
 BIAS_WALK: Final = 1.5e-5
 """rad/s per s of gyro bias drift between captures: 0.05 deg/s a minute, the default drift of ArduPilot's simulator."""
 MOST_BIAS_WALK: Final = np.radians(0.25)
-"""rad/s that such a drift moves at most: it turns round after five minutes (SIM_DRIFT_TIME)."""
+"""Largest such drift, rad/s: it reverses after five minutes (SIM_DRIFT_TIME)."""
 RESTART_S: Final = 30.0
-"""s that pass between the capture before a write and the start of a vehicle that is restarted after it."""
+"""Time, s, between the capture before a write and the restart of the vehicle after it."""
 STABILITY: Final = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
 """Scatter of a resting sensor from one capture to the next beyond its noise: 0.1 mg, 10 deg/h, 0.5 mgauss."""
 TEMPERATURE_STEP: Final = 2.0

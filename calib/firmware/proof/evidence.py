@@ -15,12 +15,12 @@ from mavcal.calib.stats.stillness import Still, find_still, pose_means
 
 LEAST_SAMPLES = 8
 LONGEST_READING_S = 6.0
-"""A longer rest is read in several pieces, so that a change of temperature shows."""
+"""Longest reading, s; a longer rest is divided, so that a change of temperature shows."""
 THERMOMETER_AGE_S = 0.5
 """Mean age of an IMU temperature on the wire, which firmwares update about once a second."""
 MOST_MOVING_SAMPLES = 200
 IN_MOTION = -1
-"""Rest of a reading that was taken in none."""
+"""Number of the rest for a reading in motion."""
 AVERAGED_S = 0.1
 """Time over which a compass sample is a mean at most (ArduPilot's compass task, FLIGHT_CONTROLLERS 2.1)."""
 

@@ -34,9 +34,9 @@ _HIDDEN_DEFAULTS: Final = MappingProxyType(
         ),
     }
 )
-"""Values, where not 0, of parameters that the firmware does not list yet (FLIGHT_CONTROLLERS 1.1-1.4)."""
+"""Nonzero defaults of parameters that the firmware does not list yet (FLIGHT_CONTROLLERS 1.1-1.4)."""
 _INVERTIBLE: Final = 1e6
-"""Condition of a correction up to which a stream is undone: one count of it would become a thousand fields."""
+"""Largest condition number of a correction that is undone: beyond, one count would become a thousand fields."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Force:
     def acting(self, about: Subject) -> tuple[str, ...]:
         """Names of the changes that the correction of `about` depends on.
 
-        A change counts as acting if it matters beside all others or all alone: a coefficient matters only once its
-        set is enabled, and the enabling only with coefficients.
+        A change counts as acting if it matters beside all others or alone. A coefficient matters only once its set is
+        enabled, and the enabling only with coefficients.
         """
         every = frozenset(change.name for change in self.changes)
         whole, none = self.possible(about, every), self.possible(about, frozenset())
@@ -91,8 +91,8 @@ class Force:
     def possible(self, about: Subject, applied: Set[str]) -> TriadModel | None:
         """:meth:`model`, or None where no vehicle corrects by that mixture of old and new values.
 
-        A new TMIN beside the old TMAX may leave no temperature between them; the scale of an absent sensor is 0, and
-        so is the diagonal of a compass that was never calibrated: beside one new element the matrix has no inverse.
+        A new TMIN with the old TMAX may leave an empty range. The scale of an absent sensor is 0, and so is the
+        diagonal of a never calibrated compass. With one new element the matrix then has no inverse.
         """
         try:
             model = self.model(about, applied)

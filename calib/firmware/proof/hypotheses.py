@@ -1,9 +1,9 @@
 """Which combinations of old and new values the streams allow.
 
-A hypothesis says which changes of a plan did *not* take effect. Its discrepancy is a vector that scatters about zero
-with a known covariance if it is true; whitened, that is a unit normal. Two hypotheses a distance ``d`` apart are
-compared along the line between them: one is given up when the data lie more than :data:`THRESHOLD` standard
-deviations from it towards the other, and nearer to the other.
+A hypothesis states which changes of a plan did *not* take effect. If it is true, its discrepancy scatters about zero
+with a known covariance; whitened, it is a unit normal. Two hypotheses at a distance ``d`` are compared along the line
+between them. One is rejected if the data lie more than :data:`THRESHOLD` standard deviations from it towards the other,
+and nearer to the other.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ Hypothesis = frozenset[str]
 """Names of the changes that did not take effect."""
 
 THRESHOLD: Final = 3.29
-"""One false alarm in 2000 along one line, so that one parameter has fewer than one in 1000 over several lines."""
+"""Threshold, in standard deviations: one false alarm in 2000 along one line, and fewer than one in 1000 per parameter
+over several lines."""
 CERTAIN: Final = 4.0
-"""Threshold for "not everything was applied" where the data do not single out one parameter: it is asked along every
-line between combinations, and there are many."""
+"""Threshold for "not everything was applied" if no single parameter is responsible: it is tested along many lines
+between combinations."""
 OBSERVABLE: Final = 3.0
 """Effects below this many standard deviations are not judged (DESIGN 6, rule 4)."""
 UNEXPLAINED: Final = 1e-4
-"""Chance at which no hypothesis is believed."""
+"""P-value below which no hypothesis is accepted."""
 MOST_EXHAUSTIVE: Final = 8
 
 
@@ -45,7 +46,7 @@ class StreamJudgement:
     alone: dict[str, Hypothesis]
     """The smallest hypothesis that refuses a change and that a vehicle can have; no entry: there is none."""
     explained: bool
-    """False: the streams scatter more than was known; distances are in standard deviations of what was seen."""
+    """False: the streams scatter more than expected; distances are in observed standard deviations."""
 
 
 def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
@@ -66,11 +67,11 @@ def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
 
 
 def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array | None]) -> StreamJudgement:
-    """Weigh every combination of `names` by its whitened discrepancy (n,); None: no vehicle can have that one.
+    """Judge every combination of `names` by its whitened discrepancy (n,); None: impossible on any vehicle.
 
-    "Everything applied" must not be None. If even the best combination is off by more than chance allows, the streams
-    scatter more than was known. Every standard deviation is then widened until that one fits:
-    the new values are given up only where the old ones fit far better.
+    "Everything applied" must not be None. If even the best combination is significantly off, the streams scatter more
+    than expected. All standard deviations are then widened until it fits, so the new values are rejected only if the
+    old ones fit far better.
     """
     found = [(h, point) for h in combinations_of(names) if (point := whitened(h)) is not None]
     hypotheses = [h for h, _ in found]

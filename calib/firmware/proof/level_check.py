@@ -1,15 +1,15 @@
-"""The level after a level job: where its trim shows, and whether the vehicle reads level as it stands.
+"""The level after a level job: whether its trim takes effect, and whether the vehicle reads level.
 
 PX4 turns every sensor by its trim: SCALED_IMU shows it, and :mod:`calib.firmware.proof.check` proves it. ArduPilot
 turns the attitude, behind all sensors (FLIGHT_CONTROLLERS 2.2: AHRS_TRIM is in no IMU message), so only ATTITUDE
 shows it: with ``E = from_euler(trim)``, vehicle from board, "down" in the vehicle is ``E d``, ``d`` that in the board.
 From one trim to the next it is turned by ``E_new E_old^T``, whatever the estimator's own error.
 
-Whether the vehicle reads level is asked of its accelerometer through the parameters in force. The attitude of ArduPilot
-cannot refute that. On the ground EKF3 learns the bias of an axis within 37 deg of the vertical alone
-(``NavEKF3_core::CovariancePrediction``). It holds the others. What it learned under older offsets therefore
-stays in the attitude as long as the vehicle lies: no time at rest makes it forget (2.2 deg, captured for 34 s, did not
-change by 0.01 deg). A restart begins without biases. Where attitude and accelerometer differ, that is said.
+The accelerometer, with the parameters in force, decides whether the vehicle reads level. ArduPilot's attitude cannot
+refute that. On the ground EKF3 learns only the bias of an axis within 37 deg of the vertical
+(``NavEKF3_core::CovariancePrediction``) and holds the others. Biases learned with older offsets therefore stay in the
+attitude while the vehicle is at rest (2.2 deg, captured for 34 s, did not change by 0.01 deg). A restart begins without
+biases. A difference between attitude and accelerometer is reported.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Array, Recording, Sensor
 
 HALF_S: Final = 1.0
-"""s of attitude on either side of a reading at rest."""
+"""Time, s, of attitude used on either side of a reading at rest."""
 ESTIMATOR_SD: Final = np.radians(0.1)
 """Wander of an estimator's attitude at rest from one capture to the next."""
 SAME_POSE: Final = np.radians(0.3)
-"""rad within which the vehicle still stands as it stood when its level was measured."""
+"""Angle, rad, within which the vehicle still has the pose of the level measurement."""
 LEAST: Final = 4
-"""Attitudes of a mean."""
+"""Least number of attitudes in a mean."""
 LEVEL_WITHIN: Final = float(np.radians(0.2))
-"""rad from level that the accelerometer may read, where the level was measured."""
+"""Largest angle from level, rad, of the accelerometer in the pose of the level measurement."""
 ATTITUDE_WITHIN: Final = float(np.radians(0.5))
-"""rad between ArduPilot's attitude and its accelerometer at rest: what its estimator is off by when it remembers
-nothing."""
+"""Largest angle, rad, between ArduPilot's attitude and its accelerometer at rest: the error of an estimator without old
+biases."""
 
 
 def level_checks(
@@ -95,7 +95,7 @@ def _down(reading: StillMean) -> Array:
 def _attitude(
     about: Subject, trimmed: Array, after: Recording, readings: Sequence[StillMean]
 ) -> tuple[SensorCheck, ...]:
-    """Whether the attitude agrees with the accelerometer under the trim in force; it can only be open, never wrong."""
+    """Whether the attitude agrees with the accelerometer under the trim in force; the verdict is never "wrong"."""
     apart = [angle_between(seen, trimmed @ _down(r)) for r in readings for seen in _downs(after, (r,))]
     if not apart:
         return ()

@@ -1,13 +1,13 @@
 """Checks the readings after a write: zero of a gyroscope at rest, gravity of an accelerometer, level of a level board.
 
-The check of the parameters (:mod:`calib.firmware.proof.check`) asks whether they act. The parameters of another, equal
-vehicle act as well, and leave the sensors wrong. Here the stream itself is judged. A limit is what honest causes
-explain. Noise and the uncertainty of the fit count with :data:`SURE` standard deviations of both together. Two bounds
-are added: what the sensor may drift between the fit and now, and what the plan said that the firmware cannot hold.
+The check of the parameters (:mod:`calib.firmware.proof.check`) tests whether they act. Parameters of another, identical
+vehicle act as well, but leave the sensors wrong. Here the stream itself is judged. A limit covers all legitimate
+causes. Noise and the uncertainty of the fit count with :data:`SURE` standard deviations of both together. Two bounds
+are added: possible drift of the sensor since the fit, and the announced losses of the firmware.
 
-A reading can be spoilt from outside: somebody touches or turns the vehicle. A wrong offset shows in every reading. So
-of several readings in one pose at one temperature the best one counts, and a sensor is wrong only where all of them
-are; the worst pose or temperature decides.
+A reading can be disturbed, if somebody touches or turns the vehicle, whereas a wrong offset shows in every reading. So
+the best of several readings in one pose at one temperature counts, and a sensor is wrong only if all of them are. The
+worst pose or temperature decides.
 """
 
 from __future__ import annotations
@@ -35,23 +35,22 @@ from mavcal.calib.recording import Array, Sensor
 SURE: Final = 5.0
 """Standard deviations: one false alarm in a million on one axis, so that a healthy write is not taken back."""
 SINCE_FIT_S: Final = 120.0
-"""s for which a gyroscope may have drifted since its fit; an operator reads a plan that long."""
+"""Time, s, of gyroscope drift since its fit: an operator may read a plan that long."""
 DRIFT_FACTOR: Final = 2.0
-"""A sensor may drift by so many times the data sheet's typical value per degC."""
+"""Allowed drift per degC, as a multiple of the data sheet's typical value."""
 MOST_DRIFT: Final = {Sensor.ACCEL: 0.1, Sensor.GYRO: MOST_BIAS_WALK}
-"""m/s2 and rad/s (0.25 deg/s): beyond this a sensor is wrong, however it came to be. It needs a fit at this
-temperature."""
+"""Largest error, m/s2 and rad/s (0.25 deg/s), from any cause; beyond it a sensor needs a fit at this temperature."""
 MISFIT: Final = {Sensor.ACCEL: 0.02, Sensor.GYRO: np.radians(0.05)}
-"""m/s2 and rad/s that a polynomial may leave over its range: what a thermal job aims at."""
+"""Allowed residual of a polynomial over its range, m/s2 and rad/s: the goal of a thermal job."""
 LOCAL_GRAVITY: Final = 0.03
 """m/s2 by which gravity differs from 9.80665 between the poles and the equator."""
 APART: Final = np.radians(2.0)
 """rad between two accelerometers of one board after both were calibrated: twice what level jobs warn of."""
 FAR: Final = 0.5
-"""m/s2: a limit beyond this says nothing."""
+"""Limit, m/s2, above which a check is meaningless."""
 _ANY_RATE: Final = 1.0  # rad/s, sd of an axis that the fit leaves open
 _NO_READING: Final = 1e-3
-"""m/s2 below which an accelerometer at rest has no direction: it streams zeros."""
+"""Reading, m/s2, below which an accelerometer at rest has no direction: it streams zeros."""
 SAME_POSE: Final = 0.966
 """Cosine within which readings count as one pose (15 deg)."""
 
@@ -68,7 +67,7 @@ class Deviation:
 
     @property
     def ratio(self) -> float:
-        """The value in limits."""
+        """The value as a multiple of its limit."""
         return self.value / self.limit
 
 
@@ -103,7 +102,7 @@ def _usable(about: Subject, corrections: Corrections, pair: Pair, now: StreamEvi
 
 @dataclass(frozen=True, eq=False)
 class PlannedSensor:
-    """One sensor under a plan: how it is corrected and what was fitted of it."""
+    """One sensor under a plan, with its correction and its fits."""
 
     plan: WritePlan
     corrections: Corrections
@@ -117,7 +116,7 @@ class PlannedSensor:
 
 
 def _zero(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Deviation, ...]:
-    """A gyroscope at rest, by its worst axis that was determined."""
+    """Deviations of a gyroscope at rest, on its worst determined axis."""
     about, fit = given.about, given.fit
     matrix = given.corrections.model(ALL_APPLIED).matrix
     opened = np.diag([_ANY_RATE**2 * (not fit.determined(f"offset_{a}")) for a in AXES])
@@ -143,7 +142,7 @@ def _zero(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Deviatio
 
 
 def _gravity(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Deviation, ...]:
-    """The length of what an accelerometer at rest reads."""
+    """Deviations of the length of an accelerometer's readings at rest."""
     fit, matrix = given.fit, given.fit.model.matrix
     found = []
     for reading, raw in zip(readings, given.corrections.raw(ALL_APPLIED, readings), strict=True):
@@ -203,7 +202,7 @@ def _bounds(given: PlannedSensor, reading: StillMean) -> float:
 
 
 def _directions(written: Sequence[Subject], now: StreamEvidence) -> tuple[SensorCheck, ...]:
-    """Accelerometers of one board that were calibrated together agree about where down is."""
+    """Deviations between the directions of down of accelerometers on one board that were calibrated together."""
     found = []
     for k, about in enumerate(written[1:], start=1):
         first = written[0]

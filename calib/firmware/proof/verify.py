@@ -1,10 +1,10 @@
 """The physical check: do the streams behave as if every change of a plan were in force?
 
-Read-back proves that a number is stored, not that it is used: PX4 ignores small changes, ArduPilot a COMPASS_SCALE out
-of its window (FLIGHT_CONTROLLERS 1.3, 1.4), and either may be overwritten in the background. So the streams are undone
-under every combination of old and new values. Each combination is compared with what does not depend on how the vehicle
-lies (:mod:`calib.firmware.proof.discrepancy`). A parameter whose effect is lost in the noise is said to be not
-observable, never verified; the report says which movement would prove it.
+Read-back proves that a number is stored, not that it is used. PX4 ignores small changes, ArduPilot a COMPASS_SCALE out
+of its window (FLIGHT_CONTROLLERS 1.3, 1.4). Either may be overwritten in the background. So the streams are undone
+under every combination of old and new values. Each combination is compared with quantities independent of the vehicle's
+pose (:mod:`calib.firmware.proof.discrepancy`). A parameter whose effect is below the noise is reported as not
+observable, never as verified; the report names the movement that would prove it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Array, Recording, Sensor
 
 WORTH: Final = 5.0
-"""Standard deviations that a movement must promise before an operator is sent to make it."""
+"""Predicted standard deviations above which a movement is worth requesting."""
 NEAR: Final = 0.97
 """Cosine up to which a pose counts as a face (14 deg)."""
 FACES: Final = (
@@ -48,9 +48,9 @@ FACES: Final = (
 )
 """Poses by name and in words, with the direction of their specific force in the body (FRD)."""
 TEMPERATURE_MARGIN: Final = 0.1
-"""Share of the calibrated range that a wished temperature stays inside of it."""
+"""Margin of a requested temperature to the calibrated range, as a fraction of the range."""
 NEAR_ENOUGH: Final = 0.12
-"""Share of the calibrated range within which another temperature would say nothing new."""
+"""Fraction of the calibrated range within which another temperature adds no information."""
 
 
 def verify(
@@ -143,7 +143,7 @@ _RAW: Final = (
 
 
 """PX4's magnetometers: SCALED_IMU raw, HIGHRES_IMU less the estimator's bias (FLIGHT_CONTROLLERS 2.2). Half of a new
-offset was seen there within 2 s; to judge by that, the state of the estimator had to be streamed too, and it is not."""
+offset was seen there within 2 s. Judging by that would require the state of the estimator, which is not streamed."""
 
 
 def _unknown(about: Subject, force: Force, now: StreamEvidence) -> str:
@@ -245,7 +245,7 @@ def _in_words(faces: tuple[str, ...], *, still: bool, turn: bool, temperature: f
 
 
 def _wished_temperature(check: StreamCheck, names: Sequence[str]) -> float | None:
-    """The end of the calibrated range that is farther from what was read; None if temperature would not help."""
+    """The end of the calibrated range farther from the readings; None if temperature would not help."""
     whole = check.corrections.model(ALL_APPLIED).polynomial
     if whole is None or not any(_thermal(check, name) for name in names):
         return None
@@ -268,7 +268,7 @@ def _thermal(check: StreamCheck, name: str) -> bool:
 
 
 def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, None]) -> None:
-    """Add to `faces` one pose that shows each of `names`, unless one that is in it already does."""
+    """Add to `faces` a pose for each of `names`, unless one already in it shows the effect."""
     shown = [_face_of(reading) for reading in check.capture.after]
     readings = {label: _reading(check, np.array(force)) for label, _, force in FACES if label not in shown}
     for name in names:
@@ -302,7 +302,7 @@ def _reading(check: StreamCheck, direction: Array) -> StillMean:
     assert expected is not None
     size = expected.magnitude or float(np.linalg.norm(now.mean))
     raw = model.invert(size * direction, now.temperature)
-    # the true reading is the one that the fitted model makes as long as it should be
+    # the true reading is the one to which the fitted model gives the known length
     corrected = expected.model.apply(raw, now.temperature)
     raw = expected.model.invert(corrected * size / np.linalg.norm(corrected), now.temperature)
     mean = model.apply(raw, now.temperature)

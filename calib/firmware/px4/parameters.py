@@ -1,4 +1,4 @@
-"""How PX4 corrects its sensors: the one place of its formulas and of its thresholds (FLIGHT_CONTROLLERS 1.4, 10).
+"""PX4's sensor corrections: the only place with its formulas and thresholds (FLIGHT_CONTROLLERS 1.4, 10).
 
 =============  ============================================================
 accelerometer  ``b = L R [(a - TC(T) - OFF) o SCALE]``
@@ -70,7 +70,7 @@ _ROWS: Final = {"ACC": Sensor.ACCEL, "GYRO": Sensor.GYRO, "MAG": Sensor.MAG}
 
 @dataclass(frozen=True)
 class Thresholds:
-    """A new vector replaces the one in memory only if it differs by more than this in norm (parameter units)."""
+    """Least norm of the difference by which a new vector replaces the one in memory (parameter units)."""
 
     offset: float
     scale: float = 0.01
@@ -262,8 +262,8 @@ def _longer(difference: Array, limit: float) -> bool:
 def without_row(events: Iterable[Event], entries: Iterable[ParameterEntry] = ()) -> frozenset[tuple[Sensor, int]]:
     """The sensors that PX4 calls uncalibrated in these texts, by streamed instance.
 
-    `entries`: the parameters as they were heard. What was said before an id of that kind changed counts no more: PX4
-    fills the row of a gyroscope by itself.
+    `entries` are the parameters as they were heard. A text from before a change of that sensor's ids no longer counts:
+    PX4 fills the row of a gyroscope by itself.
 
     >>> sorted(without_row([Event(0.0, "text", "Preflight Fail: Compass 1 uncalibrated")]))
     [(<Sensor.MAG: 'mag'>, 1)]

@@ -1,7 +1,7 @@
 """Streams to request from a vehicle.
 
-Both firmwares give 25 and 50 Hz exactly (ArduPilot cuts intervals to whole milliseconds, PX4 rounds up to its 4 ms
-loop); at 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.
+Both firmwares give 25 and 50 Hz exactly: ArduPilot cuts intervals to whole milliseconds, PX4 rounds up to its 4 ms
+loop. At 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def requested_streams(autopilot: str, sensors: Collection[Sensor]) -> dict[int, 
 def live_streams(autopilot: str, rate_hz: float) -> dict[int, float]:
     """Rates in Hz by message id for who watches: every inertial unit and compass at `rate_hz`, the attitude too.
 
-    The messages of a job over the same sensors, so that both put the same ones back; no slower than a job's are those
-    of the vehicle's state.
+    The messages are those of a job over the same sensors, so that both restore the same ones. Messages of the vehicle's
+    state are no slower than in a job.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Effects that a simulated or nominal recording shows by itself, and the problem without them."""
+"""Effects that a simulated or nominal recording shows by itself, and their subtraction from the problem."""

@@ -1,9 +1,9 @@
-"""The problem of a recording, without what its simulated or nominal companion shows by itself.
+"""The problem of a recording, without the effects that its simulated or nominal companion also shows.
 
 Two kinds of companion are first compared with an ideal sensor: a simulator that flew another trajectory (GAP 3.5b c),
-and a nominal recording with a pose of its own. What they show there is an error of the reference or a property of the
-simulator (decision 0007). It is added to the ideal reading of the real recording, so that the gap is what only the real
-one has.
+and a nominal recording with its own pose. The effects that they show are errors of the reference or properties of the
+simulator (decision 0007). They are added to the ideal reading of the real recording, so that the gap is what only the
+real one has.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from mavcal.calib.recording import Recording, Sensor
 def problem_of(
     real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float, pace: GapPace | None = None
 ) -> GapProblem:
-    """The problem of `real`, with what its companion shows of its own added to the ideal readings.
+    """The problem of `real`, with the effects of its companion added to the ideal readings.
 
-    `pace` bounds the search for that. Errors are those of :func:`calib.gap.reference.build`.
+    `pace` bounds the search for them. Errors are those of :func:`calib.gap.reference.build`.
     """
     if sim is not None and is_another_flight(real, sim):
         real, sim = with_common_channels(real, sim)
@@ -58,26 +58,25 @@ def problem_of(
 
 _OF_ONE_SIMULATION = ("clock_drift",)
 _OF_ONE_RECORDING = (*_OF_ONE_SIMULATION, "accel_bias", "gyro_bias")
-"""Two clocks may agree anywhere in a recording. A bias differs each time that a sensor is switched on, but a
-simulator's is always the same.
+"""Effects that differ from recording to recording. Two clocks may agree at any time. A bias differs after every
+power-up, though a simulator's is always the same.
 """
 _UNCERTAIN_SHARE, _UNCERTAIN_BIAS = 1.0 / 3.0, 1.5
-"""Part of a nuisance effect by which two recordings against poses differ; a bias differs by all of itself, and by the
-error of its estimate. Source: decision 7 for the third. The other is chosen, not measured: the bias and half as much
-for the error of its estimate."""
+"""Fraction of a nuisance effect by which two recordings against poses differ. A bias differs by all of it, plus the
+error of its estimate. Source: decision 7 for the third. The other is chosen, not measured: the bias plus half of it for
+the error of its estimate."""
 _LEVEL_DIFFERENCE = 0.006
-"""Gain a number of level shifts, in place of `prices.FLIGHT_DIFFERENCE`: they are in a few bins of a spectrum. Chosen,
+"""Gain per number of level shifts, instead of `prices.FLIGHT_DIFFERENCE`: they occupy few bins of a spectrum. Chosen,
 not measured: a fifth of that difference."""
 _ENTRY_DIFFERENCE = 0.003
-"""Gain a number to enter the model without being reported, so that no other effect absorbs it. Chosen, not measured: a
-tenth of that difference, so that it joins first."""
+"""Gain per number for an effect to enter the model unreported, so that no other effect absorbs it. Chosen, not
+measured: a tenth of that difference, so that it enters first."""
 _NOISE_DIFFERENCE = 0.3
-"""Gain a number of noise of twice the power, by which noise differs from minute to minute. Source: deviance `r -
-1 - log r` of a ratio r of powers, 1 - log 2 at r = 2."""
+"""Gain per number of noise at twice the power, by which noise varies from minute to minute. Source: deviance `r - 1 -
+log r` of a ratio r of powers, 1 - log 2 at r = 2."""
 _ROUNDS, _CONVERGED = 5, 0.1
-"""Times at most that the noise is learned, first with the nuisance effects, then beside them. The second is the
-share by which their gain may still change. Chosen, not measured: five bound the time, and a tenth of a gain decides
-nothing."""
+"""Most iterations of learning the noise beside the nuisance effects, and the relative change of their gain at
+convergence. Chosen, not measured: five bound the time, and a tenth of a gain decides nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +100,13 @@ def nominal_baseline_of(
 ) -> NominalBaseline:
     """Steady effects that a nominal recording shows against its own pose.
 
-    The noise is learned beside the effects, and the effects are searched for again with that noise, until the gain
-    settles.
+    Noise and effects are estimated in turn until the gain of the effects converges.
 
     Parameters
     ----------
     learned
-        Makes the problem of the nominal recording, its noise learned beside the nuisance effects that are put into
-        the ideal.
+        Makes the problem of the nominal recording, with noise learned beside the nuisance effects added to the ideal
+        reading.
     alpha
         Chance that anything is found where there is nothing.
     pace
@@ -171,7 +169,7 @@ def compared_with_nominal(problem: GapProblem, baseline: NominalBaseline) -> Gap
 
 
 def _notices(baseline: NominalBaseline) -> tuple[str, ...]:
-    """A notice for the report of what was taken off; empty if nothing was."""
+    """Notice of the subtracted effects for the report; empty without any."""
     if not baseline.effects:
         return ()
     named = ", ".join(
@@ -181,16 +179,17 @@ def _notices(baseline: NominalBaseline) -> tuple[str, ...]:
 
 
 _MOVEMENT_RATIO = 3.0
-"""Times as much movement (rms) as in the simulated flight, beyond which a report says so. Chosen, not measured: two
+"""Ratio of the movement (rms) to that of the simulated flight, above which the report warns. Chosen, not measured: two
 flights of one mission differ by less."""
 _UNCERTAIN_EVIDENCE = 0.1
-"""Part of the evidence of a simulated flight's own nuisance effects that a real one must have beyond them. Chosen, not
+"""Evidence of a real effect beyond a simulated flight's own nuisance effects, as a fraction of theirs. Chosen, not
 measured: a tenth is small beside the effect itself."""
 
 _OWN_EVIDENCE = 0.04
-"""The same, for a compass, of what is within the error of the simulated flight's reference. That is fitted in the real
-one too, but an attitude errs in more ways. Chosen, not measured: such a fit is right to a fifth. Attitudes known to 0.7
-degrees made a compass without noise saturate by 0.1 uT. An inertial unit errs as its own trajectory does."""
+"""The same for effects on a compass within the reference error of the simulated flight. That error is fitted in the
+real flight too, but attitude errors have more forms. Chosen, not measured: such a fit is accurate to a fifth. Attitudes
+known to 0.7 degrees caused a false saturation of 0.1 uT on a noiseless compass. An inertial unit errs in the same way
+as its own trajectory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +199,11 @@ class SimulatedBaseline:
     `effects` are expected in another flight too. `own` effects include errors of this flight's reference, which differ
     from flight to flight. `uncertain` effects, those expected elsewhere and those that fit noise, measure how far two
     flights differ.
-    By sensor: `gains` of the largest of them, `own_gains` of the largest own one; `changes` of the ideal reading by all
-    of them, as a sum of squares; `movement`, the variance of the ideal reading; `accepted_difference`, the gain below
-    which no effect was searched for. `traces` are those of the flight, `effects` in their ideal reading.
+
+    By sensor: `gains` of the largest uncertain effect, and `own_gains` of the largest own one. `changes` is the sum of
+    squares that all of them add to the ideal reading. `movement` is the variance of the ideal reading, and
+    `accepted_difference` the gain below which no effect was searched for. `traces` are those of the flight, with
+    `effects` in the ideal reading.
     """
 
     effects: tuple[EffectEstimate, ...]
@@ -254,7 +255,7 @@ def _without_learned_noise(trace: Trace) -> Trace:
 
 
 def compared_with_simulator(problem: GapProblem, baseline: SimulatedBaseline) -> GapProblem:
-    """`problem` with the effects of the simulated flight in the ideal reading, and with the minimum gains to match."""
+    """`problem` with the effects of the simulated flight in the ideal reading, and the corresponding minimum gains."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _squared_changes(problem, baseline.uncertain)
     small = accepted_difference(problem, prices.FLIGHT_DIFFERENCE)
@@ -326,7 +327,7 @@ def _combined(own: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, 
 def _nuisance_gain(
     problem: GapProblem, baseline: SimulatedBaseline, livelier: Mapping[Sensor, float], sensor: Sensor
 ) -> float:
-    """Gain in this flight of what the baseline's estimates leave uncertain.
+    """Gain in this flight from the uncertainty of the baseline's estimates.
 
     The uncertainty is a share of the evidence for the baseline, at least the accepted difference. It is common to all
     instances and grows with the movement. Refitted noise absorbs a part: gains count as ``n log(1 + gain / n)``.
@@ -341,7 +342,7 @@ def _nuisance_gain(
 
 
 def _gain_with_refitted_noise(problem: GapProblem, gain: float, sensor: Sensor) -> float:
-    """A `gain` if the noise is fitted again; zero for a sensor that only the other flight has."""
+    """`gain` once the noise is fitted again; zero for a sensor that only the other flight has."""
     numbers = max((3 * len(t.t) for t in problem.traces if t.sensor is sensor), default=0)
     return numbers * math.log1p(gain / numbers) if numbers else 0.0
 

@@ -1,8 +1,8 @@
 """Level shifts of a compass, beside a nominal recording whose noise drifts.
 
-A spectrum learned from a recording that drifts allows as much power at low frequencies in every other one. A magnet
-that is put on and taken off has its power there, and neither of its steps is significant alone. A drifting nominal
-recording shows no such step between two levels, though: steps are compared with its largest one.
+A spectrum learned from a drifting recording allows the same power at low frequencies in every other one. The steps of a
+magnet put on and taken off have their power there, so neither is significant alone. A drifting nominal recording has no
+large step between two levels, though: steps are compared with its largest one.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _STEP_S = 0.5
 """Seconds over which readings are averaged first. Chosen, not measured: noise averages out, and no level is as
 short."""
 _LEVEL_S, _PAUSE_S = 8.0, 2.0
-"""Seconds that a level lasts at least on either side of a step, and seconds that are left out between. Chosen, not
-measured: hands take a second or two to change something."""
+"""Shortest level, s, on either side of a step, and time, s, left out between the levels. Chosen, not measured: a person
+takes a second or two to change something."""
 _LEAST_COVERAGE = 0.5
-"""Part of the averages of a level that has to be there. Chosen, not measured: with fewer than half a hole decides where
-the level lies."""
+"""Least fraction of a level's averages that must exist. Chosen, not measured: with less than half, a hole would decide
+the level."""
 _LARGEST_RATIO = 1.5
-"""Ratio to the largest step of a nominal recording, above which a step is of another kind. Source: decision 34; the
-ratio is chosen, not measured: the largest of a few steps varies by as much."""
+"""Ratio to the largest step of a nominal recording, above which a step is an effect. Source: decision 34; the ratio is
+chosen, not measured: the largest of a few steps varies by as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def level_steps(trace: Trace) -> Steps:
 def with_level_shifts(
     chosen: ChosenModel, contest: Contest, traces: Sequence[Trace], nominal: Sequence[Trace], level: float
 ) -> ChosenModel:
-    """The model with steps in place of drift noise, on compasses with larger steps than `nominal` ones; else unchanged.
+    """The model with steps instead of drift noise, on compasses with larger steps than `nominal` ones; else unchanged.
 
     All steps of a sensor together need the minimum gain of one. Only compasses are tested: levels of the other sensors
     change with the movement, and a calm nominal recording moves less.
@@ -94,7 +94,7 @@ def with_level_shifts(
     traces, nominal
         Sensors beside their references: of the recording, and of nominal ones.
     level
-        Chance of a step where there is none, a test.
+        Probability of a false step, per test.
     """
     for sensor in dict.fromkeys(view.sensor for view in chosen.model.setting.views):
         if sensor is not Sensor.MAG or _jump_terms(chosen, sensor):

@@ -1,7 +1,7 @@
 """Gain that each hypothesis would have from the uncertainty of the nuisance effects.
 
-A baseline takes off the effects that another recording showed. They differ a little in this one, and a hypothesis that
-explains the difference is no gap.
+A baseline subtracts the effects that another recording showed. They differ slightly in this one, and a hypothesis that
+explains only the difference is not a gap.
 """
 
 from __future__ import annotations

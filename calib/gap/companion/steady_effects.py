@@ -28,10 +28,10 @@ from mavcal.calib.gap.worth.attitude_error import below_reference
 from mavcal.calib.recording import Sensor
 
 _FURTHER_RATIO = 1.2
-"""Times what is left without an effect, above which it takes the readings further away. Chosen, not measured: a fifth
-more may be the noise of other samples."""
+"""Ratio of the residual with an effect to that without it, above which the effect makes it worse. Chosen, not measured:
+a fifth more may be the noise of other samples."""
 _TINY = 1e-30
-"""Variance of a series that stands still. Source: it guards a division; no sensor resolves its root, 1e-15."""
+"""Least variance of a series. Source: it guards a division; no sensor resolves its root, 1e-15."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class SteadyEffect:
 class SteadyEffects:
     """Effects that a flight shows.
 
-    `own` effects are taken off this flight's readings; some may be errors of its reference, which differ from flight to
-    flight. `supported` effects are expected in another flight too. `doubted` effects fit noise.
+    `own` effects are subtracted from this flight's readings; some may be errors of its reference, which differ from
+    flight to flight. `supported` effects are expected in another flight too. `doubted` effects fit noise.
     """
 
     own: tuple[SteadyEffect, ...] = ()
@@ -111,8 +111,8 @@ def _below_minimum(chosen: ChosenModel, contest: Contest) -> list[Key]:
 def _further_from_ideal(model: Model) -> list[Key]:
     """Effects that move the readings further from the ideal ones.
 
-    They fit noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow. In
-    another flight with other movement they would put into the ideal reading what no sensor has.
+    They fit noise: whitened samples give weight to fast movement, which a re-estimated trajectory does not follow. In a
+    flight with other movement they would add an error to the ideal reading that no sensor has.
     """
     left = _normalised_residual(model)
     return [
@@ -125,7 +125,7 @@ def _further_from_ideal(model: Model) -> list[Key]:
 def _normalised_residual(model: Model) -> float:
     """Sum of squares of the residual about its mean, in units of the variance of each series.
 
-    The mean does not count, because an offset may replace what another effect changes in it.
+    The mean is excluded, because an offset may replace another effect's contribution to it.
     """
     return sum(
         float((left.var(axis=0) / np.maximum(view.residual.var(axis=0), _TINY)).sum() * len(left))

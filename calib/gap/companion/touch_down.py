@@ -1,7 +1,7 @@
-"""The moment at which a flying vehicle meets the ground.
+"""The touch-down of a flying vehicle.
 
-It turns there within a few milliseconds. The age of a sample, which no two sensors share, then reads like an error: a
-touch-down at 25 degrees of tilt was an unknown error of gyroscope and compass.
+It then turns within a few milliseconds. The age of a sample, which differs between sensors, looks like a sensor error.
+A touch-down at 25 degrees of tilt was reported as an unknown error of gyroscope and compass.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.recording import Recording, Sensor
 
 _HALF = 0.5
-"""Part of the usual motor output below which a vehicle does not fly. Chosen, not measured: half of the thrust that
-carries it lets it fall."""
+"""Fraction of the usual motor output below which a vehicle does not fly. Chosen, not measured: with half of its hover
+thrust it falls."""
 _AROUND_S = 1.5
-"""Seconds before and after that belong to the touch-down. Chosen, not measured: land detectors wait for a second."""
+"""Time, s, before and after that belongs to the touch-down. Chosen, not measured: land detectors wait for a second."""
 
 
 def without_touch_down(problem: GapProblem, recording: Recording) -> GapProblem:
@@ -31,7 +31,7 @@ def without_touch_down(problem: GapProblem, recording: Recording) -> GapProblem:
 
 
 def touch_down(recording: Recording) -> float | None:
-    """When the motors last fall below half of their usual output, s; None: they never run, or run to the end."""
+    """Time, s, when the motors last fall below half of their usual output; None: they never run, or run to the end."""
     motors = next((c for c in recording.find(Sensor.MOTOR) if len(c)), None)
     if motors is None:
         return None

@@ -26,7 +26,7 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
-"""Row and column: how much of the ideal `column` axis is seen on the `row` axis."""
+"""Row and column of each off-diagonal element: sensitivity of the `row` axis to the ideal `column` axis."""
 
 
 def constant(trace: Trace, _theta: float) -> Array:

@@ -43,11 +43,11 @@ def never_missing(_trace: Trace) -> tuple[str, str] | None:
 class EffectShape:
     """The one nonlinear parameter of an effect: a delay, a cut-off, a time constant, a moment.
 
-    `grid(trace)` gives the values that are tried first (M,), ascending; the best is refined between its neighbours, and
-    the search is priced. For a large grid `screen(trace, residual)` picks a few promising values (at least one) from
-    the unexplained residual (N, 3); the price stays that of the whole grid. A `discontinuous` shape (the moment of a
-    jump) has no derivative between two samples and is not refined. A `chosen` one is arbitrary beside another free
-    effect: the temperature at which a drift vanishes, beside an offset.
+    `grid(trace)` gives the values (M,) that are tried first, ascending. The best is refined between its neighbours, and
+    the search has a price. For a large grid `screen(trace, residual)` picks at least one promising value from the
+    residual (N, 3). The price is still that of the whole grid. A `discontinuous` shape (the moment of a jump) has no
+    derivative between two samples and is not refined. A `chosen` shape is arbitrary beside another free effect, as the
+    temperature at which a drift vanishes is beside an offset.
     """
 
     parameter: EffectParameter
@@ -72,13 +72,13 @@ class CatalogueEffect:
     excited_by, fix
         One phrase each: what movement or condition excites it, and which one tells it apart from its rivals.
     missing
-        What a trace lacks for it.
+        What a trace lacks for the effect.
     shape
         None: purely linear.
     rivals
         Ids of the effects that imitate it where the movement is poor.
     shared
-        One set of parameters acts on every trace of every sensor; `sensor` then only says whose page it is on.
+        One set of parameters acts on every trace of every sensor; `sensor` then only selects its page.
     repeatable
         It can happen more than once in a recording (a magnet put on and taken off, two tones).
     form
@@ -92,7 +92,7 @@ class CatalogueEffect:
     family
         Kind of a shape that the catalogue does not have; it sets the price. Empty for an effect with a name.
     part
-        Whether it is one of the many amplitudes of such a shape, and was chosen among them.
+        Whether it is a part of such a shape, with one of its many amplitudes.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """

@@ -14,10 +14,11 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST_FORCE = 0.3
-"""Standard deviation, m/s2, of the specific force below which nothing is said. Chosen, not measured: 3 % of gravity."""
+"""Least standard deviation of the specific force, m/s2, for the effect to be testable. Chosen, not measured: 3 % of
+gravity."""
 _LEAST_LEVER = 0.05
-"""Standard deviation, m/s2 per metre of lever, below which nothing is said. Chosen, not measured: a lever of 2 cm then
-shows 1 mm/s2, a tenth of a milligravity."""
+"""Least standard deviation, m/s2 per metre of lever, for the effect to be testable. Chosen, not measured: a lever of 2
+cm then shows 1 mm/s2, a tenth of a milligravity."""
 
 
 def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:

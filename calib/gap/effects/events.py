@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 Screen = Callable[[Trace, Array], Array]
 
 RAMP_S = 1.5
-"""Duration, s, of a step that is no jump. Chosen, not measured: hands take about as long to put a magnet on."""
+"""Duration, s, of a gradual step. Chosen, not measured: hands take about as long to put a magnet on."""
 _CANDIDATES = 4
 """Moments that are tried. Chosen, not measured: it bounds the time; the likeliest ones are among the first."""
 _SEEN = 0.7
-"""Share of a ramp's samples that must be observed. Chosen, not measured: with fewer the hole and not the ramp
-decides."""
+"""Fraction of a ramp's samples that must be observed. Chosen, not measured: with fewer, the hole would determine the
+fit."""
 _EDGE = 0.01
-"""Share of the recording: a step this near to an end is a bias. Chosen, not measured: one level would rest on a
-hundredth of the samples."""
+"""Fraction of the recording at either end in which a step counts as a bias. Chosen, not measured: one level would rest
+on a hundredth of the samples."""
 
 
 def step_signal(trace: Trace, moment: float) -> Array:
@@ -72,7 +72,7 @@ def likeliest_steps(trace: Trace, residual: Array) -> Array:
 
 
 def likeliest_ramps(trace: Trace, residual: Array) -> Array:
-    """The same for ramps that were sampled; across a hole only the two levels are known, and a jump describes those.
+    """The likeliest moments of sampled ramps; across a hole only the two levels are known, which a jump describes.
 
     Without any, the first possible moment, which explains nothing.
     """

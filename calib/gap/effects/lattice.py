@@ -1,6 +1,6 @@
 """Exact effects in the samples: quantisation, repeats, zeros, and the end of the range (GAP 3.0).
 
-What the ideal reading shows too, or the recording declares, is no gap.
+What the ideal reading shows too, or the recording declares, is not a gap.
 """
 
 from __future__ import annotations
@@ -26,33 +26,34 @@ _EVIDENCE = 30.0
 """Twice the log-likelihood above which a pattern of samples counts. Chosen, not measured: odds of exp(15), three
 million to one."""
 _FEWEST = 5
-"""Samples that make a pile, a zero band, a hold. Chosen, not measured: fewer equal samples are common by chance."""
+"""Least number of equal samples at a limit, in a zero band or in a hold. Chosen, not measured: fewer are common by
+chance."""
 _FINEST = 0.03
-"""Step, in parts of the noise, below which none is reported. Source: a rounding error has the variance q^2/12, here
-less than 1e-4 of the noise."""
+"""Least reported step, relative to the noise. Source: a rounding error has the variance q^2/12, here less than 1e-4 of
+the noise."""
 _STEPS = 5
-"""Rows around one in whose mean an ideal reading must go on too: jitter averages out. Chosen, not measured: two on
-either side."""
+"""Rows over which the movement of an ideal reading is averaged, so that jitter does not count. Chosen, not measured:
+two on either side."""
 _SURROUNDINGS = 51
-"""Rows over which the noise stays the same. Chosen, not measured: a variance of so many is known to 20 %
+"""Rows over which the noise is taken as constant. Chosen, not measured: a variance of so many is known to 20 %
 (sqrt(2/51))."""
 _CERTAIN = 10.0
-"""Standard errors above which a stay at the limit says no more. Chosen, not measured: noise has heavy tails."""
+"""Most standard errors that one stay at the limit contributes. Chosen, not measured: noise has heavy tails."""
 _SAFETY = 1.5
-"""Factor on the number of repeats by chance, whose noise is an estimate. Chosen, not measured: more than that estimate
-errs by."""
+"""Safety factor on the number of chance repeats, which depends on estimated noise. Chosen, not measured: more than the
+error of that estimate."""
 _INFORMATIVE_CHANCE = 0.2
-"""Chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies. Chosen, not
-measured: a chance of one in five surprises nobody."""
+"""Chance of a repeat above which a row is ignored: the outcome depends on the position in its bin. Chosen, not
+measured: a chance of one in five is no evidence."""
 _LEAST_CHANCE = 1e-5
-"""The least chance of a repeat: a movement that forbids them is known no better. Chosen, not measured: far below any
-chance that noise of a step's size has."""
+"""Least chance of a repeat during a movement, which is not known exactly. Chosen, not measured: far below the chance
+with noise of a step's size."""
 _AT_REST_SHARE = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 """Chosen, not measured: more than half of them."""
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:
-    """Levels coarser than declared and than those of the ideal reading. Values: step on x, y, z (0: none)."""
+    """Evidence of levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none)."""
     steps, two_delta = [0.0] * 3, 0.0
     for axis in range(3):
         values, ideal = trace.measured[trace.observed, axis], trace.ideal[trace.observed, axis]
@@ -73,7 +74,7 @@ def quantisation(trace: Trace) -> LatticeEvidence | None:
 
 
 def saturation(trace: Trace) -> LatticeEvidence | None:
-    """Samples at an end of the range beyond which the ideal reading goes. Value: the limit."""
+    """Evidence of samples at a limit that the ideal reading exceeds. Value: the limit."""
     limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
     for axis in range(3):
         for side in (1.0, -1.0):
@@ -113,7 +114,7 @@ def _samples_at_limit(measured: Array, ideal: Array, observed: Mask, quantum: fl
 def _shortfall_evidence(residual: Array, pile: Mask, observed: Mask, quantum: float) -> float:
     """Squared standard errors by which readings at the limit fall short of those around; 0 if they do not.
 
-    Each stay has the error of its own mean: a reference that is off for its time is off in all of its rows.
+    The error is that of each stay's mean, since an error of the reference is common to all rows of a stay.
     """
     rows, elsewhere = np.flatnonzero(pile), observed & ~pile
     stays = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
@@ -129,13 +130,13 @@ def _shortfall_evidence(residual: Array, pile: Mask, observed: Mask, quantum: fl
 
 
 def _error_of_mean(residual: Array, rows: Mask, count: int) -> float:
-    """Standard error of a mean of `count` residuals (N,) beside those around, as seen at `rows` (N,)."""
+    """Standard error of a mean of `count` residuals (N,) relative to those around, estimated at `rows` (N,)."""
     apart = np.abs(uniform_filter1d(residual, count) - uniform_filter1d(residual, count + 2 * _SURROUNDINGS))[rows]
     return 1.4826 * float(np.median(apart)) + EQUAL * float(np.abs(residual[rows]).max())
 
 
 def dead_band(trace: Trace) -> LatticeEvidence | None:
-    """Small readings that are exactly zero. Values: half width on x, y, z (0: none)."""
+    """Evidence of small readings that are exactly zero. Values: half width on x, y, z (0: none)."""
     widths, errors, two_delta = [0.0] * 3, [0.0] * 3, 0.0
     masked = np.zeros(len(trace.t), dtype=np.bool_)
     for axis in range(3):
@@ -188,7 +189,7 @@ def _shift_towards_zero(values: Array, ideal: Array, rows: Mask) -> tuple[float,
 
 
 def hold(trace: Trace) -> LatticeEvidence | None:
-    """Rows that repeat the one before on all three axes. Values: mean time a row is held (s), share of repeats."""
+    """Evidence of rows that repeat the previous one on all axes. Values: mean hold time (s), fraction of repeats."""
     both = trace.observed[1:] & trace.observed[:-1]
     same = trace.measured[1:] == trace.measured[:-1]
     unchanged = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
@@ -215,7 +216,7 @@ def hold(trace: Trace) -> LatticeEvidence | None:
 
 
 def _repeat_evidence(repeat: Mask, chance: Array) -> float:
-    """Twice the log-likelihood that rows (N,) are held with a chance h beside their own, against their own alone.
+    """Twice the log-likelihood ratio of repeats with a chance h added to each row's `chance` (N,), against h = 0.
 
     With small chances both are Poisson: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat where
     the movement forbids one has more weight than one of a sensor at rest.
@@ -236,9 +237,9 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
 
     Two samples differ by a Gaussian of sd ``sqrt(2) sigma``; its density at zero times the step q is ``q / (2 sqrt(pi)
     sigma)``. Noise below the step always repeats. The noise is estimated locally, since a sensor at rest repeats and a
-    moving one does not, and only from rows that do not repeat, or a hold would hide itself: their mean absolute
-    difference is ``2 sigma / sqrt(pi)``, less the part of the levels. A change D of the ideal reading reduces the
-    chance by ``exp(-D^2 / 4 sigma^2)``, with the levels counted as noise.
+    moving one does not. Only rows that do not repeat are used, or a hold would hide itself. Their mean absolute
+    difference is ``2 sigma / sqrt(pi)``, minus the contribution of the levels. A change D of the ideal reading reduces
+    the chance by ``exp(-D^2 / 4 sigma^2)``, with the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
@@ -264,7 +265,7 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
 def _ideal_steps(ideal: Array) -> Array:
     """Change of the ideal reading (N,) between rows, (N - 1,): the smaller of the step and its local mean.
 
-    The jitter of an estimated reading is no movement.
+    This excludes the jitter of an estimated reading.
     """
     steps = np.diff(ideal)
     return np.asarray(np.minimum(np.abs(steps), np.abs(uniform_filter1d(steps, _STEPS, mode="nearest"))))

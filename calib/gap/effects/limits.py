@@ -23,17 +23,17 @@ _TRIED = 26
 """Values of a limit or a width that are tried at most. Chosen, not measured: steps of a factor of 1.7 over the six
 decades of `_MOST`."""
 _LEAST, _MOST = 4.0, 1e6
-"""Evidence of the least value that is tried, and ratio of the largest to it. Chosen, not measured: 4 is two standard
+"""Least evidence of a value that is tried, and largest evidence relative to it. Chosen, not measured: 4 is two standard
 errors, and a million times as much is beyond doubt."""
 _BELOW_LIMIT = 0.9
-"""Share of the largest reading: an end of the range there leaves some readings alone, an offset none. Chosen, not
+"""Largest limit relative to the largest reading: a limit leaves some readings unchanged, an offset none. Chosen, not
 measured: a tenth is beyond any noise."""
 _OUTSIDE = 0.02
-"""Share of the readings that must lie in a dead band, and beyond it, for anything to be said. Chosen, not measured:
-fewer than one in fifty are single moments."""
+"""Least fraction of the readings that must lie inside a dead band, and outside it. Chosen, not measured: fewer than one
+in fifty are single moments."""
 _BLURRED = 5.0
-"""Standard deviations of the noise in a reference. Nearer than that to zero, or to the end of the range, the reference
-does not say what a sensor should read. Source: decision 41."""
+"""Distance from zero or from the limit, in standard deviations of the reference's noise, below which the reference
+cannot tell the expected reading. Source: decision 41."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
@@ -44,7 +44,7 @@ def clipped_column(trace: Trace, limit: float) -> Array:
 def dead_column(trace: Trace, width: float) -> Array:
     """Change of the ideal reading by a dead band of half width `width`.
 
-    Zero where the reference is too noisy to say what to read: there it would remove the reference's own noise.
+    Zero where the reference is too noisy: the dead band would remove the reference's own noise there.
     """
     size = np.abs(trace.ideal)
     return np.where((size < width) & (size >= _BLURRED * trace.unit_sd), -trace.ideal, 0.0)[None]
@@ -59,7 +59,7 @@ def _noise(trace: Trace) -> float:
 
 
 def _at_energy_steps(values: Array, energy: Array, noise: float) -> Array:
-    """The ascending `values` at which the rising `energy` that they remove reaches steps of a constant ratio."""
+    """The ascending `values` at which the removed `energy` passes geometrically spaced levels."""
     seen = _LEAST * noise**2
     top = float(energy[-1])
     if not (noise > 0.0 and top > seen):

@@ -1,8 +1,8 @@
 """Noise by its spectrum: white, flicker, random walk (IEEE Std 952-1997, annex C), in the units of the Allan deviation.
 
-On cosine-transform bins ``w`` (rad per sample) a sample's variance splits into: white ``N^2 fs``; flicker, half an
-integration of white noise of standard deviation B, ``B^2 / (2 sin(w/2))``; a walk with steps of ``K / sqrt(fs)``,
-``K^2 / (4 fs sin^2(w/2))``. The amplitudes are the sensor's, before the firmware's own filter
+On cosine-transform bins ``w`` (rad per sample) a sample's variance has three parts. White noise has ``N^2 fs``.
+Flicker, half an integration of white noise of standard deviation B, has ``B^2 / (2 sin(w/2))``. A walk with steps of
+``K / sqrt(fs)`` has ``K^2 / (4 fs sin^2(w/2))``. The amplitudes are the sensor's, before the firmware's own filter
 where the trace knows one.
 """
 
@@ -21,8 +21,8 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LONG = 30.0
-"""Seconds of data above which a walk is told from a bias. Chosen, not measured: a shorter recording shows little more
-of a walk than its mean."""
+"""Least duration, s, to tell a walk from a bias. Chosen, not measured: a shorter recording shows little more of a walk
+than its mean."""
 
 
 def white_density(trace: Trace, omega: Array, _theta: float) -> Array:

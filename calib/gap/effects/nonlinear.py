@@ -14,10 +14,10 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST_FORCE = 25.0
-"""m/s2 on an axis, 2.5 times gravity: below, offset and scale take nearly all of the square. Chosen, not measured: the
-pull beyond gravity is then larger than gravity."""
+"""Least force on an axis, m/s2 (2.5 times gravity): below it, offset and scale absorb nearly all of the square. Chosen,
+not measured: the force beyond gravity is then larger than gravity."""
 _OFTEN = 0.01
-"""Part of the samples that are to lie beyond it. Chosen, not measured: fewer are single shocks."""
+"""Least fraction of the samples beyond it. Chosen, not measured: fewer are single shocks."""
 
 
 def squared_columns(trace: Trace, _theta: float) -> Array:

@@ -21,8 +21,8 @@ TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 TUMBLE = "tumble through six attitudes or more"
 
 _SPREAD = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.02, Sensor.MAG: 2.0}
-"""Standard deviation of the ideal reading over time above which its size matters: 3 % of what it is in use. Chosen,
-not measured: an error of 1 % then shows 3 mm/s2, 0.2 mrad/s or 0.02 uT."""
+"""Least standard deviation of the ideal reading for effects proportional to it: 3 % of its usual size. Chosen, not
+measured: an error of 1 % then shows 3 mm/s2, 0.2 mrad/s or 0.02 uT."""
 _MOVEMENT = {
     Sensor.ACCEL: "specific force varies by {:.2g} m/s2",
     Sensor.GYRO: "angular rate varies by {:.2g} rad/s",
@@ -96,7 +96,7 @@ def spread(values: Array, observed: NDArray[np.bool_]) -> float:
 
 
 def missing_movement(sensor: Sensor) -> Missing:
-    """What is missing if the ideal reading is constant: only its sum with a bias would show."""
+    """What is missing if the ideal reading is constant: the effect would be indistinguishable from a bias."""
 
     def missing(trace: Trace) -> tuple[str, str] | None:
         if sensor is Sensor.GYRO and not trace.rate_known:

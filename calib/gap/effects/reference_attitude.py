@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def direction_columns(trace: Trace, theta: float) -> Array:
-    """``e_j x ideal`` of a sensor of a direction; zero for a gyroscope."""
+    """Columns ``e_j x ideal`` for an accelerometer or magnetometer; zero for a gyroscope."""
     if trace.sensor == Sensor.GYRO:
         return np.zeros((3, *trace.ideal.shape))
     return rotation_columns(trace, theta)
@@ -28,7 +28,7 @@ def direction_turned(trace: Trace, parameters: Array) -> Array:
 
 
 REFERENCE = "reference_attitude"
-"""Its id, by which findings about the reference are told from those about sensors."""
+"""Id of the effect, which distinguishes findings about the reference from those about sensors."""
 
 EFFECTS: tuple[CatalogueEffect, ...] = (
     MeanEffect(
@@ -45,5 +45,4 @@ EFFECTS: tuple[CatalogueEffect, ...] = (
         exact=direction_turned,
     ),
 )
-"""Its columns are those of a constant error; the diagnosis lets it wander as :class:`calib.gap.problem.ReferenceInfo`
-says."""
+"""Columns of a constant error; the diagnosis lets it wander as :class:`calib.gap.problem.ReferenceInfo` states."""

@@ -1,4 +1,4 @@
-"""Effects of a report added to the ideal readings of a problem: what a remedied simulator would read."""
+"""Effects of a report added to the ideal readings of a problem: the readings of a remedied simulator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mavcal.calib.gap.schema import EffectEstimate
 Array = NDArray[np.float64]
 
 _BINS = 1024
-"""Bins of a spectrum that is made here. Chosen, not measured: finer than the edge of any filter."""
+"""Bins of a computed noise spectrum. Chosen, not measured: finer than the edge of any filter."""
 
 
 def with_effects(
@@ -35,7 +35,7 @@ def with_effects(
 def with_effects_in(
     traces: Sequence[Trace], effects: Sequence[EffectEstimate], *, shared: bool = True
 ) -> tuple[tuple[Trace, ...], tuple[str, ...]]:
-    """The same for traces."""
+    """The same for single traces."""
     lost: dict[str, None] = {}
     made = []
     for trace in traces:
@@ -64,7 +64,7 @@ def added_by(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Arra
     Raises
     ------
     UnknownQuantityError
-        If the effect follows what is not known for the trace, such as the angular rate.
+        If the effect depends on a quantity that is unknown for the trace, such as the angular rate.
     """
     theta, amplitudes = shape_and_amplitudes(described, found)
     if described.exact is not None:

@@ -1,8 +1,8 @@
 """Thermal effects: a bias that follows the temperature, directly or late, and a scale that follows it.
 
-The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration: 25
-degC in MATLAB, the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value would add
-a bias to every thermal effect.
+The temperature at which an effect vanishes is the same on all axes and depends on the simulator or the calibration. It
+is 25 degC in MATLAB, and the middle of the range in ArduPilot's SITL. It is therefore a parameter; a wrong fixed value
+would add a bias to every thermal effect.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}
-"""Span of the temperature, degC, for any statement. Chosen, not measured: a scale needs more than an offset, and a
-curve or a lag more than a slope."""
+"""Least temperature span, degC, for an effect to be testable. Chosen, not measured: a scale needs more than an offset,
+and a curve or a lag more than a slope."""
 _TRAITS = frozenset({Trait.THERMAL, Trait.LEVEL})
 _GOOD_SPAN = 15.0
-"""Span of the temperature, degC, that tells the rivals apart. Source: GAP 8."""
+"""Temperature span, degC, that separates the rivals. Source: GAP 8."""
 _OUTSIDE_SEEN = 20.0
-"""Kelvin by which the reference temperature may lie outside what was seen. Chosen, not measured: few flights are
+"""Largest distance, K, of the reference temperature from the recorded range. Chosen, not measured: few flights are
 further from the temperature of their calibration."""
 _REFERENCES = 13
 """Temperatures of the grid. Chosen, not measured: 5 kelvin apart for a span of 20."""
@@ -65,14 +65,14 @@ def temperature_powers(trace: Trace, t_ref: float) -> Array:
 def lagged_temperature(trace: Trace, time_constant: float) -> Array:
     """``T_lag - t_ref`` (1, N), with `T_lag` the temperature through a first-order lag.
 
-    `t_ref` is the one that fits the residual best on white noise (rank one in slope and intercept).
+    `t_ref` is the one that fits the residual best under white noise (rank one in slope and intercept).
     """
     delayed = lagged(temperature_of(trace), 1.0 / trace.fs, time_constant)
     return (delayed - best_reference_temperature(delayed, trace.residual, trace.observed))[None, :]
 
 
 def best_reference_temperature(temperature: Array, residual: Array, observed: NDArray[np.bool_]) -> float:
-    """The temperature at which slopes of `residual` (N, 3) over `temperature` (N,) vanish, for the least misfit.
+    """Temperature at which linear fits of `residual` (N, 3) over `temperature` (N,) cross zero, of least misfit.
 
     With ``T = m + s u``, u of mean zero and size one, each axis has the slope ``k s`` and the mean ``k (m - t_ref)``:
     the nearest rank one to the three pairs. It lies in the range of :func:`reference_temperatures`.

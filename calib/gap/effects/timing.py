@@ -31,7 +31,7 @@ after so many."""
 _KNOT = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
 """Basis function of that degree, about its middle. Source: seven knots for degree five."""
 _LONGEST = 0.5
-"""Longest delay, s. Chosen, not measured: what is later than half a second is another fault."""
+"""Longest delay, s. Chosen, not measured: more than half a second is a different fault."""
 _SHORTEST = 0.125
 """Shortest delay on the grid, samples. Chosen, not measured: refinement reaches shorter ones."""
 _DELAYS = 4
@@ -41,8 +41,8 @@ _CUTOFFS = 9
 _FASTEST = 8.0
 """Largest cut-off over the sampling rate. Chosen, not measured: a faster filter hardly changes a sample."""
 _FOLDS = 20
-"""Folds of a faster rate's noise that are summed: the rest is flat. Chosen, not measured: terms fall as the square of
-the fold."""
+"""Number of aliases of a faster rate's noise that are summed: the rest is flat. Chosen, not measured: terms fall as the
+square of the fold."""
 _DRIFTS = 3
 """Drifts of each sign on the grid. Chosen, not measured: it bounds the time, and refinement goes between."""
 _LARGEST_DRIFT = 5e-3
@@ -63,7 +63,7 @@ def splines_of(trace: Trace) -> Array:
     """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading.
 
     Beyond either end it continues with its last slope, because a recording may begin during a movement. A sudden stop
-    would change the first sample by more than the noise of all.
+    would change the first sample by more than all noise.
     """
     longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
     return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])
@@ -106,9 +106,9 @@ def low_pass_column(trace: Trace, cutoff: float) -> Array:
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
-    """``|H|^2`` (2, K) at `omega` (rad per sample): of noise at the rate of the log, and of folded faster noise.
+    """``|H|^2`` (2, K) at `omega` (rad per sample): for noise at the log rate, and for aliased noise of a faster rate.
 
-    A sensor that filters at a higher rate than it is logged at folds the rest beyond half the rate of the log back.
+    A sensor that filters at a higher rate than the log's aliases the noise beyond the Nyquist frequency of the log.
     """
     order = 1 + _better_order(trace, _filtered_less_ideal(trace, cutoff))
     folds = 2.0 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, None]
@@ -180,9 +180,9 @@ def rms_slope(trace: Trace) -> float:
 
 
 def _missing_rotation(trace: Trace) -> tuple[str, str] | None:
-    """What is missing for a clock drift: rotation decides for every sensor, since the clock is one.
+    """What is missing for a clock drift; rotation shows it for every sensor, since all share one clock.
 
-    A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
+    A trajectory re-estimated from the recording itself runs on the clock in question.
     """
     if not trace.rate_known:
         return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"

@@ -15,11 +15,13 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _PERIODS = 5
-"""Periods in a recording, at least: slower ones are drift. Chosen, not measured: a polynomial follows fewer as well."""
+"""Least number of periods in a recording: slower waves are drift. Chosen, not measured: a polynomial follows fewer as
+well."""
 _CANDIDATES = 4
 """Frequencies that are tried. Chosen, not measured: it bounds the time; the strongest are the likeliest."""
 _AROUND = 201
-"""Bins whose geometric mean is the background. Chosen, not measured: one line of any strength hardly changes it."""
+"""Number of bins whose geometric mean is the background. Chosen, not measured: one line of any strength hardly changes
+it."""
 
 
 def tone_signals(trace: Trace, frequency: float) -> Array:

@@ -1,4 +1,4 @@
-"""Traits of effects, and terms of the sensor equation. Nothing in the diagnosis depends on parts of an id."""
+"""Traits of effects, and terms of the sensor equation; the diagnosis uses them instead of parts of an id."""
 
 from __future__ import annotations
 

@@ -36,24 +36,23 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 RUNNING_THROTTLE = 0.05
-"""Output of a motor, or throttle, 0..1, above which a motor turns. Chosen, not measured: below what speed controllers
-idle at."""
+"""Motor output or throttle, 0..1, above which a motor turns. Chosen, not measured: below the idle output of speed
+controllers."""
 _LOWEST = 5.0
 """Lowest vibration at a fixed frequency, Hz. Chosen, not measured: below it a vehicle moves as a whole."""
 _HARMONICS = (1, 2, 3, 4)
 """Orders of a rotor's speed. Source: its unbalance, two or three blades, and the second harmonic of two."""
 _FOLDED = (1, 2, 3, 4, 5, 6)
-"""Orders that the sampling may fold. Chosen, not measured: two more than are seen unfolded, since higher ones are
-weak."""
+"""Orders that sampling may alias. Chosen, not measured: two more than without aliasing, since higher ones are weak."""
 _DETUNED = (0.98, 1.0, 1.02)
 """Ratios to the mean speed that are tried. Chosen, not measured: rotors of one vehicle differ by a few percent in
 hover."""
 _ROTOR = 100.0
-"""Factor by which one number holds a rotor and its order. Source: an encoding; no order reaches a hundred."""
+"""Factor that encodes a rotor and its order in one number. Source: an encoding; no order reaches a hundred."""
 _CANDIDATES = 4
 """Frequencies that are tried. Chosen, not measured: it bounds the time; the strongest are the likeliest."""
 _LEAST_VARIATION = 0.1
-"""Standard deviation of the rotors' power over its maximum, above which noise is told to follow it. Chosen, not
+"""Least standard deviation of the rotors' power, relative to its maximum, to tell that noise follows it. Chosen, not
 measured: with less, steady noise fits as well."""
 _THROTTLE = "throttle 0-hover-0 twice at one attitude"
 _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed in the log")
@@ -116,7 +115,7 @@ def line_density(trace: Trace, omega: Array, frequency: float) -> Array:
 
 @remembered(24)
 def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
-    """The same at all bins of the trace, (N,), kept for the other bands and contrasts of the sensor."""
+    """Power of the line at all bins of the trace, (N,), cached for the other bands and contrasts of the sensor."""
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
         track = trace.rotor_hz.mean(axis=1) * (frequency / speed)

@@ -1,6 +1,6 @@
 """A report for MATLAB, and as the document of ``mavcal simulate recording``.
 
-MATLAB gets sensors as parameter objects of ``imuSensor``, and the airframe as a struct for a model of one's own
+MATLAB gets sensors as parameter objects of ``imuSensor``, and the airframe as a struct for the user's model
 (``idnlgrey``, the Multirotor block): AIRFRAME 4.4.
 """
 
@@ -37,7 +37,7 @@ _FIELDS: tuple[tuple[str, str, tuple[str, ...], str], ...] = (
 )
 """Name of the field, effect, parameters, unit."""
 _RATIO_ONLY = frozenset({"inertia", "yaw_coefficient"})
-"""Effects whose values in the flights are accelerations: only their ratio is that of the field."""
+"""Effects whose values in the flights are accelerations: only their ratio applies to the field."""
 _HELD = frozenset(effect_id for _, effect_id, _, _ in _FIELDS)
 
 
@@ -86,7 +86,7 @@ def _objects(sensors: SensorEffects, instance: int) -> tuple[list[str], list[str
 
 
 def _wanted(key: str, values: Mapping[str, Any]) -> bool:
-    """Flicker's filter only with flicker."""
+    """Whether a line is needed: the flicker filter only with flicker."""
     return key != "BiasInstabilityCoefficients" or bool(np.any(values["BiasInstability"]))
 
 
@@ -111,10 +111,10 @@ def _others(report: GapReport, instance: int) -> list[str]:
 
 
 def airframe_struct(effects: Sequence[EffectEstimate], *, mass: float | None = None) -> tuple[str, tuple[str, ...]]:
-    """Lines that make the struct ``airframe``, after what it cannot hold, and the latter; empty without any effect.
+    """Lines for the struct ``airframe``, and notes on what it cannot represent, which also precede the lines.
 
-    A field holds the real vehicle's value, empty where the report has none; ``airframe.ratio`` and
-    ``airframe.difference`` hold what the report says against the simulator.
+    Both are empty without effects. A field holds the real vehicle's value, empty where the report has none.
+    ``airframe.ratio`` and ``airframe.difference`` hold the comparison with the simulator.
     """
     flying = airframe_effects(effects)
     chosen = {e.id: e for e in flying}
@@ -140,7 +140,7 @@ def airframe_struct(effects: Sequence[EffectEstimate], *, mass: float | None = N
 
 
 def _parameter(effect: EffectEstimate, name: str) -> ParameterEstimate | None:
-    """The parameter of that name; a lag that is told one way only is that of both."""
+    """The parameter of that name; a lag estimated for one direction applies to both."""
     either = [p for p in effect.params if p.name.startswith("tau")]
     return next((p for p in effect.params if p.name == name), either[0] if name.startswith("tau") and either else None)
 

@@ -44,12 +44,12 @@ ENDINGS: Mapping[str, Target] = {
     ".m": Target.MATLAB,
     ".json": Target.MAVCAL,
 }
-"""What a file is for where nothing else is said."""
+"""Target by file ending, unless stated otherwise."""
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A file: its text, what it cannot hold, and its doubtful effects."""
+    """A file: its text, notes on what it cannot represent, and its doubtful effects."""
 
     text: str
     not_held: tuple[str, ...]
@@ -57,7 +57,7 @@ class Exported:
 
 
 def target_of(name: str, stated: str | None = None) -> Target:
-    """Whom a file of that name is for; `stated` goes before its ending, whose JSON for ``sitl`` is the frame's file.
+    """Target of a file of that name; `stated` overrides the ending. JSON for ``sitl`` is a frame file.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def exported(
     report, real
         A diagnosis and the recording that it is of.
     target
-        Whom the file is for.
+        Simulator or vehicle that reads the file.
     base
         Parameters of the simulator as it is (``SIM_*``, ``SIH_*``); None: a fresh one's.
     instance
@@ -169,7 +169,7 @@ def _of_simulator(
     patched: Patch,
     air: tuple[str, ...],
 ) -> tuple[str, tuple[str, ...]]:
-    """The text of a simulator's file, and what it cannot hold or another file holds."""
+    """The text of a simulator's file, and notes on what it cannot represent or another file contains."""
     if target is Target.SITL:
         sensors = patch(found, base)
         elsewhere = _elsewhere(patched.frame_json, "the frame's file (--for sitl, .json)")

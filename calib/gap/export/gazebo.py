@@ -28,12 +28,12 @@ from mavcal.calib.simulate.sensor import SensorErrors
 Array = NDArray[np.float64]
 
 RATES: Mapping[Sensor, float] = {Sensor.ACCEL: 250.0, Sensor.GYRO: 250.0, Sensor.MAG: 100.0}
-"""Hz, of PX4's models, at which a density becomes the standard deviation of a sample. Source: their SDF;
-FLIGHT_CONTROLLERS 7.2 has that of the inertial unit."""
+"""Sampling rates, Hz, of PX4's models, which convert a density to the standard deviation of a sample. Source: their
+SDF; FLIGHT_CONTROLLERS 7.2 has that of the inertial unit."""
 TESLA = 1e-6
 """Tesla in a microtesla. Source: definition."""
 WALK_TIME = 1000.0
-"""Correlation time, s, that stands for a walk without end. Chosen, not measured: longer than most flights."""
+"""Correlation time, s, that approximates an unbounded walk. Chosen, not measured: longer than most flights."""
 _HELD = frozenset({SensorTerm.BIAS, SensorTerm.HARD_IRON, SensorTerm.WHITE_NOISE, SensorTerm.RANDOM_WALK})
 _TAGS = {
     Sensor.ACCEL: ("imu", "linear_acceleration"),
@@ -59,7 +59,7 @@ REASONS: Mapping[str, str] = {
     "battery_sag": "Gazebo's battery does not touch the thrust",
     "payload_step": "Gazebo's links keep their mass",
 }
-"""What the simulator has nothing for. Source: AIRFRAME 4.3."""
+"""Why the simulator cannot represent an effect. Source: AIRFRAME 4.3."""
 _PLUGIN = '<plugin filename="gz-sim-multicopter-motor-model-system" name="gz::sim::systems::MulticopterMotorModel">'
 
 
@@ -142,7 +142,7 @@ def airframe_sdf(effects: Sequence[EffectEstimate], *, mass: float | None = None
 
 
 def _motor_model(wanted: Wanted, lost: list[str]) -> list[str]:
-    """The speed at hover falls with the root of a rising constant, and the rotors' drag with that speed."""
+    """Motor model elements; hover speed falls with the root of the thrust constant, and rotor drag with that speed."""
     lines = []
     if wanted.thrust != 1.0:
         lines.append(_times("motorConstant", wanted.thrust))

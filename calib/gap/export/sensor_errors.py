@@ -1,6 +1,6 @@
-"""Errors of a simulated sensor that stand for the effects of a report, and the effects that have no place in them.
+"""Errors of a simulated sensor that represent the effects of a report, and the effects that they cannot represent.
 
-The diagnosis says ``measured = A ideal + b + p(T)`` where `ideal` is what the present simulator reads, itself ``ideal =
+The diagnosis states ``measured = A ideal + b + p(T)``, where `ideal` is the reading of the present simulator, ``ideal =
 M x + b_0``. The calibration in force removes `h`. The sensor to simulate is therefore ``A M x + A (b_0 - h) + h + b``.
 A simulator's offsets are those that its calibration cancels (``h = b_0``), which leaves ``A M x + b_0 + b``.
 """
@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 
 _SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
 REFERENCE_TEMPERATURE = 35.0
-"""degC about which drifts are stated where nobody says another: the middle of the range that a simulator without one of
-its own has (TMIN 0, TMAX 70). Source: FLIGHT_CONTROLLERS 7.1."""
+"""Default reference temperature of drifts, degC: the middle of the range of a simulator without its own setting (TMIN
+0, TMAX 70). Source: FLIGHT_CONTROLLERS 7.1."""
 TEMPERATURE_TERMS = frozenset({SensorTerm.TEMPERATURE_CURVE, SensorTerm.TEMPERATURE_SCALE})
 """Terms that are stated at a reference temperature."""
 
@@ -75,7 +75,7 @@ class SensorEffects:
     rest: tuple[EffectEstimate, ...]
 
     def of(self, sensor: Sensor, instance: int) -> SensorErrors:
-        """The errors of one sensor; an ideal one where no effect is."""
+        """The errors of one sensor; an ideal one without effects."""
         return self.errors.get((sensor, instance), SensorErrors())
 
     @property
@@ -99,7 +99,7 @@ def sensors_with(
     base
         The simulator's present sensors by sensor and instance; None: ideal ones.
     t_ref
-        Temperature, degC, about which drifts are stated; what a drift stated elsewhere is there becomes part of the
+        Reference temperature of drifts, degC; the value there of a drift with another reference becomes part of the
         bias.
     """
     groups: dict[tuple[Sensor, int], list[EffectEstimate]] = {}

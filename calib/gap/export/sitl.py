@@ -38,15 +38,15 @@ Array = NDArray[np.float64]
 DEFAULTS: Mapping[str, float] = {
     f"SIM_MAG{n}_OFS_{axis}": offset for n in (1, 2, 3) for axis, offset in zip("XYZ", (5.0, 13.0, -18.0), strict=True)
 }
-"""What a fresh simulator has; everything else of its sensors is ideal. Source: FLIGHT_CONTROLLERS 7.1."""
+"""Parameters of a fresh simulator; its sensors are otherwise ideal. Source: FLIGHT_CONTROLLERS 7.1."""
 
 COMPASS_RATE = 100.0
 """Rate, Hz, at which SITL draws a compass' noise, before the firmware averages. Source: ArduPilot's AP_Compass_SITL."""
 _FAR = 1e6
-"""Height, m, of an anomaly that is the same everywhere. Source: FLIGHT_CONTROLLERS 7.1, its field falls as (HGT/(h +
-HGT))^3; at 1 km by 0.3 %."""
+"""Height, m, of a practically uniform anomaly. Source: FLIGHT_CONTROLLERS 7.1, its field falls as (HGT/(h + HGT))^3; at
+1 km by 0.3 %."""
 _ON_TOP = ("SIM_MAG_MOT", "SIM_MAG_DELAY", "SIM_IMU_POS")
-"""What an effect is added to; other parameters of the whole vehicle are replaced."""
+"""Parameters to which an effect is added; other parameters of the whole vehicle are replaced."""
 _ACTIVE = 0.3
 """Share of the strongest axis' amplitude that counts as a vibration. Chosen, not measured: SITL has one amplitude for
 all axes, and a weak axis is nearer to none."""
@@ -98,11 +98,11 @@ def with_patches(
     mass: float | None = None,
     vehicle: Mapping[str, float] | None = None,
 ) -> GapReport:
-    """`report` whose effects carry the simulator's settings: each its part of all together, so that they add up.
+    """`report` with the simulator's settings in its effects: each has its part of all together, so that they add up.
 
-    Those of sensors carry SIM_* of :func:`patch`. The constant that a drift leaves at the middle of the simulator's
-    range belongs to the bias where there is one. Those of the airframe carry what
-    :func:`calib.gap.export.airframe.own_patches` gives them; what the air did carries nothing.
+    Effects of sensors carry SIM_* of :func:`patch`. The constant that a drift leaves at the middle of the simulator's
+    range belongs to the bias, if there is one. Those of the airframe carry the result of
+    :func:`calib.gap.export.airframe.own_patches`; those of the air carry nothing.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def patch_of(
     Parameters
     ----------
     effects
-        The effects that the simulator shall have; those of no sensor are left out.
+        Effects for the simulator; those that are not of a sensor are left out.
     report
         Whose they are: it says how many instances there are.
     base
@@ -212,7 +212,7 @@ def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEsti
 
 
 def _shown(errors: SensorErrors, sensor: Sensor) -> SensorErrors:
-    """Errors that :func:`to_sitl` has parameters for; the others are listed elsewhere."""
+    """Errors for which :func:`to_sitl` has parameters; the others are listed elsewhere."""
     curve = errors.temperature if sensor != Sensor.MAG else np.zeros((3, 0))
     matrix = errors.matrix if sensor == Sensor.MAG else np.diag(np.diag(errors.matrix))
     if not curve.any():
@@ -238,7 +238,7 @@ def _motor_current(
 
 
 def _vibration(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
-    """A sine on each axis while the motors run; SIM_ACCn_RND is its amplitude, one for the axes that have it."""
+    """A sine on each axis while the motors run; SIM_ACCn_RND is the common amplitude of the axes that have it."""
     if not any(p.name == "frequency_hz" for p in effect.params):
         return {}, ["a wave that follows one rotor's speed"]
     tonal = by_id()[effect.id].tonal
@@ -280,7 +280,7 @@ def _field(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) ->
 def _compass_noise(
     effect: EffectEstimate, sensors: SensorEffects, report: GapReport
 ) -> tuple[dict[str, float], list[str]]:
-    """Uniform noise of half width a has the variance a^2/3, drawn a hundred times a second."""
+    """Uniform compass noise: half width a has the variance a^2/3, drawn a hundred times a second."""
     density = vector(effect, "density")
     level = float(np.sqrt(np.mean(density**2)))
     lost = ["uniform noise in place of a normal one, the same on every compass and axis"]

@@ -1,4 +1,4 @@
-"""A report as parameters of the vehicle: what its firmware would have to correct or believe so that the gap is gone.
+"""A report as parameters of the vehicle: corrections and airframe values in its firmware that remove the gap.
 
 The correction in force is ``truth = L (raw - o - p(T))``. With R the mounting, the diagnosis says ``R (raw - o - p) = A
 R L^-1 truth + b + dp(T)``. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
@@ -44,17 +44,17 @@ _CALIBRATIONS = frozenset(
         *("mag_hard_iron", "mag_soft_iron", "mag_rotation"),
     }
 )
-"""Effects that a firmware's parameters can take away."""
+"""Effects that a firmware's parameters can correct."""
 
 _STEP = 1e-3
 """Step of a derivative in standard errors. Source: central differences err by its square, 1e-6."""
 
 
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
-    """The plan that takes the report's calibration effects away, and what it leaves.
+    """Plan that corrects the report's calibration effects, and the effects that remain.
 
-    What the firmware believes of its airframe (thrust curve, hover thrust, drag) is set to what the flight shows.
-    Nothing is written to a sensor that has a doubtful effect among these: the others were estimated beside it.
+    The firmware's airframe parameters (thrust curve, hover thrust, drag) are set to the values that the flight shows. A
+    sensor with a doubtful calibration effect is not written: its other effects were estimated beside it.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     Raises
     ------
     FirmwareError
-        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration or
-        a belief, or all of them are doubtful.
+        If the recording is not of an ArduPilot or PX4, or has no parameters. If no effect is a calibration or an
+        airframe value of the firmware, or all of them are doubtful.
     """
     autopilot, parameters = real.identity.autopilot, real.parameters.final()
     if autopilot is None or not parameters:
@@ -155,7 +155,7 @@ def corrected_model(
     t_ref: float,
     seen: tuple[float, float],
 ) -> TriadModel:
-    """The correction that takes `effects` away on top of `force`, from the raw sensor to its own axes.
+    """The correction of `effects` in addition to `force`, from the raw sensor to its own axes.
 
     Drifts are stated about `t_ref` (degC), and hold from the first to the second temperature of `seen`.
     """
@@ -188,7 +188,8 @@ def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[Eff
     Raises
     ------
     FirmwareError
-        If an error is not known: an offset that the data cannot tell from the temperature at which a drift vanishes.
+        If an error is unknown, as for an offset that cannot be separated from the temperature at which a drift
+        vanishes.
     """
     size = len(_flat(model(effects)))
     covariance = np.zeros((size, size))

@@ -1,8 +1,8 @@
 """Consistency of effects in a flight without a companion: on each of its blocks, and along either attitude.
 
-Such a flight has no simulated or nominal companion and no external reference. Nothing tells what two flights differ by
-anyway, and the trajectory was made from the sensors in question. Its errors look like effects that hold in a part of
-the flight, or along this trajectory only. The vehicle's estimator logged a second trajectory.
+Such a flight has no simulated or nominal companion and no external reference. The usual difference between two flights
+is unknown, and the trajectory was estimated from the sensors in question. Its errors look like effects that exist only
+in a part of the flight, or only along this trajectory. The vehicle's estimator logged a second trajectory.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _CHANCE_LOSS = 3.0
-"""Nats that an effect may lose on a block by chance: what its other blocks do not know of it. Source: decision 32."""
+"""Nats that an effect may lose on a block by chance, since the other blocks do not determine it exactly. Source:
+decision 32."""
 _LEAST_GAIN = 30.0
-"""Twice the log-likelihood that it must gain along the other attitude. Source: decision 32."""
+"""Least gain along the other attitude, in twice the log-likelihood. Source: decision 32."""
 _SIZE_RATIOS = (0.5, 2.0)
-"""Ratio of its size along the other attitude to that along the first, in the direction of the first. Source: decision
-32."""
+"""Allowed ratios of an effect's size along the other attitude to that along the first, in the direction of the first.
+Source: decision 32."""
 _ATTITUDE_SENSORS = (Sensor.ACCEL, Sensor.MAG)
 """Sensors whose ideal readings turn with the attitude; a rate of turn does not depend on it."""
 
@@ -45,7 +46,7 @@ _ATTITUDE_SENSORS = (Sensor.ACCEL, Sensor.MAG)
 def inconsistent_effects(
     problem: GapProblem, lattice: Lattice, chosen: ChosenModel, heldout: Heldout | None
 ) -> frozenset[Key]:
-    """Effects and shapes of `chosen` that a block or the logged attitude denies, or that no block can test."""
+    """Effects and shapes of `chosen` that a block or the logged attitude refutes, or that no block can test."""
     named = chosen.model.members
     denied = {t.hypothesis.key for t in named} - set(confirmed_on_every_block(() if heldout is None else heldout.gates))
     other = along_logged_attitude(problem)
@@ -56,7 +57,7 @@ def inconsistent_effects(
 
 
 def confirmed_on_every_block(gates: Iterable[Gate]) -> Iterator[Key]:
-    """Keys of effects that the held-out blocks confirm, with none denying them."""
+    """Keys of effects that held-out blocks confirm and none refutes."""
     for gate in gates:
         if gate.passed and (gate.gains > -_CHANCE_LOSS).all():
             yield gate.key

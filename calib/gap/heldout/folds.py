@@ -1,8 +1,8 @@
 """Contiguous blocks that are held out in turn, the models of the other blocks, and their predictive loss on the block.
 
-A curve that is extrapolated beyond what the other blocks cover is known badly there. The amplitudes of the fit are
-therefore integrated out under the posterior of those blocks. Its prior is that of :mod:`calib.gap.search.evidence`,
-widened: amplitudes of one unit are alike, and about as large as these blocks say.
+A curve extrapolated beyond the other blocks is uncertain. The amplitudes of the fit are therefore integrated out under
+the posterior of those blocks. Its prior is that of :mod:`calib.gap.search.evidence`, widened: amplitudes of one unit
+are similar, of about the size in these blocks.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from mavcal.calib.gap.search.thresholds import GainThresholds
 Array = NDArray[np.float64]
 
 _UNSEEN = 1e-9
-"""Part of an amplitude's information below which the other blocks do not show it. Source: rounding of an information
-matrix, 1e-16, with a margin."""
+"""Fraction of an amplitude's information below which the other blocks do not determine it. Source: rounding of an
+information matrix, 1e-16, with a margin."""
 _LEAST_BLOCKS = 3
-"""Blocks with samples at least. Chosen, not measured: fewer say nothing of each other."""
+"""Least number of blocks with samples. Chosen, not measured: fewer cannot predict each other."""
 GUARD_S = 0.5
-"""Seconds cut off at either end of a block, so that noise with memory does not tell one block of the next. Source: GAP
+"""Time, s, cut off at either end of a block, so that correlated noise does not connect it with the next. Source: GAP
 3.4."""
 
 
@@ -101,8 +101,8 @@ def with_joined_term(model: Model, term: Term | NoiseTerm, *, hold: bool = False
 def is_predictable(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` determine a term of the `whole` model.
 
-    Beside a drift of the bias only blocks that contain a jump determine it; without one, the levels do. Blocks without
-    a sample between two jumps determine only their sum.
+    Beside a bias drift, only blocks that contain a jump determine it; without a drift, the levels do. Blocks without a
+    sample between two jumps determine only their sum.
     """
     effect = term.hypothesis.effect
     if not isinstance(term, Term) or not effect.discontinuous:
@@ -200,14 +200,14 @@ def contest_of(hypotheses: Sequence[Hypothesis], thresholds: GainThresholds, pac
 
 
 _WIDE = 10.0
-"""Times the size that the other blocks say, that an amplitude may have by the prior: it is to bound what they do not
-show, and not to shrink what they do. Source: decision 6."""
+"""Width of the prior of an amplitude, relative to its size in the other blocks. It bounds what they do not determine,
+and does not shrink what they do. Source: decision 6."""
 _NOTHING = 1e-3
-"""Prior standard deviation of an amplitude without any sign of it, in standard errors of all blocks together. Chosen,
-not measured: nothing, and still a matrix with an inverse."""
+"""Prior standard deviation of an amplitude of zero evidence, in standard errors of all blocks together. Chosen, not
+measured: practically zero, with an invertible matrix."""
 _LEAST = 1e-9
-"""Added to normalised information, so that what nothing tells has an inverse. Source: rounding of a matrix, 1e-16, with
-a margin."""
+"""Added to the normalised information, so that undetermined directions stay invertible. Source: rounding of a matrix,
+1e-16, with a margin."""
 
 
 def predictive_loss(fitted: Model, block: Model) -> float:

@@ -18,14 +18,14 @@ from mavcal.calib.gap.search.terms import Gains
 Array = NDArray[np.float64]
 
 _SHORTFALL_SD = 2.5
-"""Standard deviations by which a held-out gain may be less than was due. Chosen, not measured: one block in 160 falls
-short by chance."""
+"""Standard deviations by which a held-out gain may fall short of the expected one. Chosen, not measured: one block in
+160 falls short by chance."""
 _SUFFICIENT_SHARE = 0.2
-"""Part of what was due that is enough in any case: no model of a real sensor foretells thousands of nats exactly.
-Chosen, not measured: a fifth is far from nothing."""
+"""Fraction of the expected gain that is always sufficient: no model of a real sensor predicts thousands of nats
+exactly. Chosen, not measured: a fifth is far from nothing."""
 _LEAST_EXPECTED = -5.0
-"""Nats below which the other blocks do not know what to expect of one. Chosen, not measured: a chance of one in 150,
-exp(-5)."""
+"""Expected gain, nats, below which the other blocks predict nothing for a block. Chosen, not measured: a chance of one
+in 150, exp(-5)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,7 @@ def gate_of(
     """The gate of a term: passed if held-out data are predicted better, failed if not although they should be.
 
     An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats, so a true one near the limit of detection
-    may gain nothing. An event of one block cannot be predicted from the others, and a drift in one block says nothing
-    about the next.
+    may gain nothing. An event in one block cannot be predicted from the others, and neither can a drift.
     """
     total = float(gains.sum())
     key = term.hypothesis.key

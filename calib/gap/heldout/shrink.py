@@ -53,24 +53,22 @@ block."""
 _FEW_BLOCKS = 4
 """Blocks where a series is longer than `_LONG_SAMPLES` samples: each repeats the selection. Source: decision 4."""
 _LEAST_HELD_OUT = 2
-"""Blocks that are held out however little time is left. Chosen, not measured: two may contradict each other."""
+"""Blocks that are held out even if time is over. Chosen, not measured: two may contradict each other."""
 _RESAMPLED = 2000
-"""Draws of as many blocks, for an interval. Chosen, not measured: fifty lie beyond either end of 95 %."""
+"""Bootstrap draws for an interval. Chosen, not measured: fifty lie beyond either end of 95 %."""
 _CANDIDATE_CHANCE = 0.01
-"""Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests. Chosen, not
-measured: the rest has no chance at the level of all tests."""
+"""Uncorrected p-value below which a hypothesis competes in the folds; the level remains that of all tests. Chosen, not
+measured: others cannot become significant at that level."""
 _REPEATED_TIME_SHARE = 0.5
-"""Part of the time of the first selection that one in a block is believed to take: fewer effects compete. Chosen, not
+"""Expected time of a selection in a block, relative to the first selection: fewer effects compete. Chosen, not
 measured: half as many compete."""
 _SIGNIFICANT = 3.0
-"""Standard errors above which power above the noise is no chance. Chosen, not measured: one in 740 is as loud by
-chance."""
+"""Standard errors above which excess power is significant. Chosen, not measured: one in 740 is as loud by chance."""
 _ROUNDING = 1e-9
-"""Part of a gap below which what is left of it is rounding. Source: rounding of a sum of some 1e6 numbers, with a
-margin."""
+"""Fraction of a gap below which the rest is rounding. Source: rounding of a sum of some 1e6 numbers, with a margin."""
 _DISAGREE = 1e-3
-"""Chance below which blocks do not agree on the size of an effect. Chosen, not measured: one effect in a thousand is
-denied by chance."""
+"""P-value below which blocks disagree on the size of an effect. Chosen, not measured: one effect in a thousand is
+rejected by chance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ class Heldout:
 
     @property
     def _lowest(self) -> Array:
-        """The floor by block, lowered so that over all blocks no model is below it."""
+        """The floor by block, lowered so that no model is below it over all blocks."""
         below = max(float((self.floor - self.losses[:, 1]).sum()), 0.0)
         return self.floor - below / float(self.samples.sum()) * self.samples
 
@@ -129,9 +127,9 @@ def held_out(
     chosen, contest
         The model, and what competed for it.
     tolerated
-        Keys of effects that are in every model: by them two recordings differ anyway.
+        Keys of effects that are in every model, since two recordings always differ by them.
     known
-        Gates of a model with these effects and others, which stand as they are; None: they are found.
+        Known gates of a model with at least these effects; None: they are computed.
     """
     setting, pace = chosen.model.setting, contest.pace
     given, order = _in_order_of_entry(chosen, tolerated)
@@ -209,7 +207,7 @@ def _gains_beside_noise(chosen: ChosenModel, contest: Contest) -> Gains:
 
 
 def with_nested_selection(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
-    """The same with effects that are selected again for each block from the others.
+    """The losses with effects selected again for each block from the others.
 
     Not for blocks with an event, nor once time is over.
     """
@@ -230,7 +228,7 @@ def with_nested_selection(found: Heldout, chosen: ChosenModel, contest: Contest,
 def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
     """Loss of a held-out block under the effects of all data.
 
-    The noise level has to be learned from the other blocks by any model and is no part of the gap. Unless noise is the
+    Any model has to learn the noise level from the other blocks, so it is not part of the gap. Unless noise is the
     effect, the floor therefore uses the noise, and the tolerated terms, of the model `fitted` there.
     """
     noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
@@ -281,7 +279,7 @@ def _unexplained_per_number(model: Model) -> float:
 
 
 def _loss_of_selection_without(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
-    """Loss of the held-out block under a selection on the others, among effects of the sensors that have one."""
+    """Loss of the held-out block under a selection on the others, restricted to sensors with an effect."""
     sensors = {term.hypothesis.effect.sensor for term in chosen.model.members}
     promising = {
         s.hypothesis.key

@@ -31,11 +31,11 @@ _SAMPLES = 12_000
 _LOWEST_HZ = 20.0
 """Rate of the lower band at least, Hz. Source: twice the 10 Hz up to which a vehicle moves as a whole."""
 _QUIET = 0.1
-"""Part of the noise above the lower band that the reference may have there; with more the band is made wider. Chosen,
-not measured: a tenth of the noise hardly changes a likelihood."""
+"""Power of the reference above the lower band, relative to the noise; with more, the band is widened. Chosen, not
+measured: a tenth of the noise hardly changes a likelihood."""
 _HOLES = 0.1
-"""Part of the samples that may be lost to averages over a hole. Chosen, not measured: a band that loses more says less
-than the samples."""
+"""Fraction of the samples that may be lost to averages over a hole. Chosen, not measured: a band that loses more is
+worse than the samples."""
 _SERIES = ("measured", "ideal", "force", "rate", "spin", "field", "place", "motors", "rotor_hz")
 _SCALARS = ("temperature", "current", "throttle")
 

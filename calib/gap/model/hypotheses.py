@@ -24,8 +24,8 @@ _REPETITION_MARK = "'"
 _REPEATS = 4
 """Times that an effect that can be repeated is looked for. Chosen, not measured: it bounds the time."""
 _OTHER_INSTANCE_PRICE = 24.0
-"""Price of an effect on another instance than the one that has something: it decides where nothing else does, and no
-more. Chosen, not measured: odds of exp(12) against the other instance."""
+"""Price of an effect on an instance other than the faulty one; it decides only between otherwise equal explanations.
+Chosen, not measured: odds of exp(12) against the other instance."""
 _CANCELS = 1e-9
 """Sum of the weights of a difference. Source: rounding."""
 _WAVE = "~wave"
@@ -41,8 +41,8 @@ class Hypothesis:
     """An effect on `instances` of its sensor (of every sensor for shared effects).
 
     `again` counts the earlier occurrences of a repeatable effect. `handicap` is its price, in twice the log-likelihood,
-    if rather another instance has the error. `loud` tells whether its instances have such noise; None if only their
-    residuals tell.
+    if another instance is likelier to have the error. `loud`: whether its instances have such noise; None if only their
+    residuals can tell.
     """
 
     effect: CatalogueEffect
@@ -84,10 +84,10 @@ class Hypothesis:
         return not self.effect.repeatable and self.instances in places
 
     def is_unobservable_beside(self, others: Iterable[Hypothesis], views: Iterable[View]) -> bool:
-        """Whether, beside the same effect on other units, it shows in differences of just these units alone.
+        """Whether, beside the same effect on other units, it is visible only in differences of these units.
 
-        Equal errors of all units cancel there, so that only how they differ is observable. What can happen again, as
-        steps do, differs in its time.
+        Equal errors of all units cancel there, so only their difference is observable. Repeatable effects such as steps
+        differ in their times.
         """
         if not isinstance(self.effect, MeanEffect) or self.effect.shared or self.effect.repeatable:
             return False

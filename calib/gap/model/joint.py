@@ -32,7 +32,7 @@ from mavcal.calib.gap.remembered import remembered
 Array = NDArray[np.float64]
 
 _LONGEST = 40_000
-"""Samples beyond which the mean is fitted to averages of consecutive samples. Chosen, not measured: it bounds time and
+"""Samples above which the mean is fitted to averages of consecutive samples. Chosen, not measured: it bounds time and
 memory."""
 
 
@@ -149,9 +149,9 @@ class Ridge:
     precision
         Inverse prior variances of the amplitudes.
     value
-        What they are now, rad.
+        Present values of the amplitudes, rad.
     span
-        First and last time, between which the cosines make half turns, s.
+        First and last time, s; cosine m has m half periods between them.
     """
 
     columns: HypothesisColumns
@@ -303,7 +303,7 @@ def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
 
 
 def amplitudes(term: Term, setting: Setting) -> HypothesisColumns:
-    """The same with zero columns for the shape."""
+    """Columns of the amplitudes, with zero columns for the shape."""
     if term.effect.shape is None or term.effect.exact is not None or term.effect.fixed:
         return jacobian(term, setting)
     return HypothesisColumns(len(term.values), _columns(term.hypothesis, term.theta, setting).parts)

@@ -1,8 +1,7 @@
 """The noise of every axis: declared or learned noise and the densities of effects, fitted to the periodogram.
 
 An axis of a sensor is fitted over all its series, since an effect on several instances has one amplitude. Noise learned
-from a finite recording is uncertain: its scale is a parameter, and that recording counts as further squared
-coefficients.
+from a finite recording is uncertain: its scale is a parameter, and that recording adds squared coefficients.
 """
 
 from __future__ import annotations
@@ -27,10 +26,9 @@ _LEAST_GAIN = 1.0
 """Twice the log-likelihood, to second order, below which a density is not fitted. Source: what a number without meaning
 gains on average (chi-square of one degree)."""
 _LEAST_RELATIVE_NOISE = 1e-9
-"""Noise of a sample over its reading below which nobody is believed to measure. Chosen, not measured: a converter of 24
-bits has 6e-8."""
+"""Least noise of a sample, relative to its reading. Chosen, not measured: a converter of 24 bits has 6e-8."""
 _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk": random_walk, "flicker": flicker}
-"""What a noise that nobody declared is made of."""
+"""Components of undeclared noise."""
 
 
 def is_declared(view: View) -> bool:
@@ -95,7 +93,7 @@ class AxisFit:
     start: Array
 
     def may_gain(self, extra: Sequence[Array]) -> bool:
-        """Whether one of the densities `extra` would gain anything to speak of, to second order."""
+        """Whether one of the densities `extra` would gain noticeably, to second order."""
         power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
         excess, information = self.periodogram / power - self.counts, self.counts / power
         for row in extra:

@@ -1,6 +1,6 @@
 """Joint maximum over all values of the mean, by Gauss-Newton steps.
 
-A shape whose tangent leads nowhere is held, and amplitudes and other shapes continue without it.
+A shape whose tangent does not improve the fit is held, while amplitudes and other shapes continue.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _WORTH_A_STEP = 1e-3
-"""Twice the log-likelihood that a step must promise to be tried, and gain for another to follow. Source: numerical; no
-decision depends on so little."""
+"""Least predicted gain of a step that is tried, and actual gain for another to follow, in twice the log-likelihood.
+Source: numerical; no decision depends on so little."""
 _STEPS = 8
 """Gauss-Newton steps of one fit. Chosen, not measured: Gauss-Newton steps near the best value need few."""
 _SHORTENED = 4
-"""Lengths that are tried of a step. Chosen, not measured: a step that needs more leads nowhere."""
+"""Number of lengths tried for a step. Chosen, not measured: a step that needs more does not help."""
 
 
 def coupled_terms(model: Model, sensors: Collection[Sensor]) -> tuple[int, ...]:
@@ -87,10 +87,10 @@ def _after_step(model: Model, joint: Joint, rows: Mapping[int, slice], free: Col
 def _held_shapes(
     model: Model, joint: Joint, rows: Mapping[int, slice], shaped: frozenset[int], stuck: frozenset[int]
 ) -> frozenset[int]:
-    """Shapes to hold in the next step, after a step with `stuck` ones held led nowhere.
+    """Shapes to hold in the next step, after a step with `stuck` ones held failed.
 
-    Far from its best value the tangent of a shape leads nowhere (a frequency between two peaks), and one such shape
-    spoils the step of all. The others may still gain, and the shape may be freed later.
+    Far from its best value the tangent of a shape is misleading (a frequency between two peaks). One such shape spoils
+    the step of all. The others may still gain, and the shape may be freed later.
     """
     step = _gauss_newton_step(model, joint, rows, shaped)
     if not float(step @ joint.normal.right) >= _WORTH_A_STEP:

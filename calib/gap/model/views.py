@@ -24,7 +24,7 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _SHORTEST = 32
-"""Samples below which a series says nothing. Chosen, not measured: fewer hardly have a spectrum."""
+"""Least number of samples in a series. Chosen, not measured: fewer hardly have a spectrum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class View:
     keep : shape (N,)
         The rows of the traces that are kept.
     variance : shape (3,) or None
-        Of the white noise of one sample that is declared, quantisation included. None: to be learned.
+        Variance of the declared white noise of one sample, quantisation included. None: to be learned.
     density : shape (n, 3) or None
         Power at the frequencies of the cosine transform, learned from nominal recordings; in place of `variance`.
     reference_error
@@ -50,18 +50,18 @@ class View:
     att_sd
         Standard deviation of the reference's attitude about an axis, rad, where it was re-estimated; else 0.
     dof
-        Squared numbers that the noise was learned from, an axis; infinite where it is declared.
+        Squared numbers per axis from which the noise was learned; infinite where it is declared.
     inside_sd
         Standard deviations of what was estimated inside the reference: a gyroscope's matrix, an accelerometer's scales,
         or the Earth's field.
     label
-        Whose noise it has: blocks of one series share it, and its bands.
+        Identifies the noise, which blocks and bands of one series share.
     first
         The lowest bin of its transform that counts: below lies the other band of the same series.
     fine
-        Of a lower band, at a lower rate: the whole series at its own rate.
+        For a lower band: the whole series at its own rate.
     gain
-        The lower rate for the series' own: power in a bin for the power there.
+        For a lower band: its rate over the series' own, which is also the ratio of the powers in a bin.
     """
 
     sensor: Sensor
@@ -87,7 +87,7 @@ class View:
 
     @property
     def count(self) -> int:
-        """Numbers an axis that it adds to the likelihood."""
+        """Numbers per axis that it adds to the likelihood."""
         return self.n - self.first
 
     @property

@@ -1,6 +1,6 @@
 """Whether two recordings are of one trajectory: their clock offset, and an exchange of axes.
 
-A sensor is compared with its reference axis by axis; an exchanged axis is no scale of minus one.
+A sensor is compared with its reference axis by axis, so exchanged axes must be found first.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _BETTER = 0.25
 """Share of the misfit that another frame must leave. Chosen, not measured: a calibration error must not look like an
 exchange of axes."""
 _TIED = 1.1
-"""Ratio to the least misfit, within which the frame that turns least is taken. Chosen, not measured: noise makes equal
-frames differ by less than a tenth."""
+"""Ratio to the least misfit within which the frame nearest to the identity is chosen. Chosen, not measured: noise makes
+equal frames differ by less than a tenth."""
 ANOTHER_UNIT = 3.0
-"""Ratio of sizes above which the unit is another. Chosen, not measured: no calibration error reaches it, and all
+"""Ratio of magnitudes above which the units differ. Chosen, not measured: no calibration error reaches it, and all
 mistaken units do."""
 
 
 def best_axis_exchange(measured: Array, ideal: Array, slight: float = 0.0) -> Array:
     """The exchange of axes and signs that fits best; the identity unless another leaves a quarter of its misfit.
 
-    The identity also stands if its misfit is below the share `slight`. Scale and offset do not count: the sum ``m . P
-    i`` decides. Of several equal fits the one nearest to the identity is taken.
+    The identity also wins if its relative misfit is below `slight`. Scale and offset do not count: the sum ``m . P i``
+    decides. Of several equal fits the one nearest to the identity is chosen.
     """
     cross = measured.T @ ideal
     best = float(np.sqrt((measured**2).sum() * (ideal**2).sum()))
@@ -82,29 +82,30 @@ def correlation(a: Array, b: Array) -> float:
 
 
 _OVER_S = 0.5
-"""Seconds over which changes are taken: what wanders is alike by chance, its changes are not. Chosen, not measured: a
-vehicle turns within as long."""
+"""Time difference, s, for changes: wandering signals correlate by chance, their changes do not. Chosen, not measured: a
+vehicle turns within this time."""
 _LATEST_S = 1.0
-"""Seconds by which either is late at most. Chosen, not measured: twice the longest delay of the catalogue."""
+"""Largest delay of either signal, s. Chosen, not measured: twice the longest delay of the catalogue."""
 UNCORRELATED = 0.3
 """Correlation below which movements have nothing in common. Chosen, not measured: less than a tenth of the power is
 common then."""
 FOLLOWS = 0.3
-"""Share of the reference's movement that a sensor of any sort shows, beside noise of any size. Chosen, not measured: no
-scale error is as large, and no filter takes as much."""
+"""Least fraction of the reference's movement in any sensor's readings, whatever its noise. Chosen, not measured: no
+scale error or filter removes as much."""
 _MOST = 0.8
-"""Share of the reference's movement that is none by chance. Chosen, not measured: four fifths are nearly all."""
+"""Largest fraction of the reference's movement attributed to chance. Chosen, not measured: four fifths are nearly
+all."""
 _BY_CHANCE = 3.0
-"""Standard errors that a share by chance stays within. Chosen, not measured: one in 370 is larger."""
+"""Standard errors of a correlation that chance may reach. Chosen, not measured: one in 370 is larger."""
 _FEWEST = 20
-"""Changes that say something. Chosen, not measured: a correlation of so many has a standard error of 0.22."""
+"""Least number of independent changes. Chosen, not measured: a correlation of so many has a standard error of 0.22."""
 
 
 def uncorrelated_axes(trace: Trace, moves: float) -> NDArray[np.bool_]:
     """Axes (3,) on which the reference moves and the sensor does not follow.
 
-    The reference moves if its rms change over half a second is `moves` or more. The share of its movement in the
-    readings counts, not the correlation alone: a sensor that vibrates follows as well. Exchanged axes are reported
+    The reference moves if its rms change over half a second is `moves` or more. The fraction of its movement in the
+    readings counts, not the correlation alone: a vibrating sensor follows as well. Exchanged axes are reported
     elsewhere.
     """
     step = max(1, round(_OVER_S * trace.fs))
@@ -136,18 +137,17 @@ def _is_uncorrelated(measured: Array, ideal: Array, moves: float, latest: int, a
 
 
 SAME = 0.97
-"""Correlation above which the movements of two tables are one. Chosen, not measured: 94 % of the power is common
-then."""
+"""Correlation above which two tables have the same movement. Chosen, not measured: 94 % of the power is common then."""
 SAME_LOG = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates. Chosen, not
 measured: well above that, and below what one flight reaches with itself."""
 _APART = 0.5
-"""Correlation below which movements are different ones. Chosen, not measured: a quarter of the power is common then."""
+"""Correlation below which movements are unrelated. Chosen, not measured: a quarter of the power is common then."""
 _TURNED = 0.9
-"""Correlation that the best of 48 frames must reach: it is more alike by chance than one. Chosen, not measured: four
-fifths of the power are common then."""
+"""Correlation that the best of 48 frames must reach, more than for one frame because of chance. Chosen, not measured:
+four fifths of the power are common then."""
 _SAME_LAG_S = 0.02
-"""Seconds by which equal lags may differ. Source: one sample at the rate of the search, `_RATE_HZ`."""
+"""Tolerance of equal lags, s. Source: one sample at the rate of the search, `_RATE_HZ`."""
 _RATE_HZ = 50.0
 """Rate, Hz, of the samples whose lag is sought. Chosen, not measured: beyond the movement of vehicles, and quick."""
 _OVERLAP = 0.7
@@ -172,14 +172,14 @@ class ClockAlignment:
 
 
 def have_same_samples(real: Recording, other: Recording) -> bool:
-    """Whether all three sensors have the same samples in both: one recording given twice."""
+    """Whether all three sensors have identical samples in both, as for one recording given twice."""
     pairs = [(_first(real, sensor), _first(other, sensor)) for sensor in TRIADS]
     both = [(a, b) for a, b in pairs if a is not None and b is not None]
     return bool(both) and all(np.array_equal(a.values, b.values) for a, b in both)
 
 
 def have_same_times(real: Recording, other: Recording) -> bool:
-    """Whether a sensor of both was sampled at the same times: rows of one run."""
+    """Whether a sensor was sampled at the same times in both, as in two tables of one run."""
     for sensor in TRIADS:
         a, b = _first(real, sensor), _first(other, sensor)
         if a is not None and b is not None:
@@ -190,7 +190,7 @@ def have_same_times(real: Recording, other: Recording) -> bool:
 
 
 def have_unrelated_movement(real: Recording, other: Recording) -> bool:
-    """Whether every sensor that moves in both moves differently: two runs with clocks from the same start.
+    """Whether every sensor that moves in both recordings moves differently, as in two runs on similar clocks.
 
     Movements that agree in another frame are related.
     """
@@ -208,9 +208,9 @@ def have_unrelated_movement(real: Recording, other: Recording) -> bool:
 
 
 def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
-    """As :func:`clock_alignment`, by the norms of rates and forces, which no frame changes; None if they do not move.
+    """Clock shift from the norms of rates and forces, which do not depend on the frame; None if they do not move.
 
-    The correlation is that in the best frame of `other`.
+    The correlation is that in the best frame of `other`. See :func:`clock_alignment`.
     """
     for sensor in (Sensor.GYRO, Sensor.ACCEL):
         a, b = _first(real, sensor), _first(other, sensor)
@@ -231,7 +231,7 @@ def clock_alignment_in_any_frame(real: Recording, other: Recording) -> ClockAlig
 
 
 def clock_alignment(real: Recording, other: Recording) -> ClockAlignment | None:
-    """The shift with which `other` moves as `real` does; None if either does not move, or without a common sensor.
+    """Clock shift that aligns the movement of `other` with that of `real`; None without a common moving sensor.
 
     Rates decide, else specific forces, else fields: the first that moves in both.
     """

@@ -1,8 +1,8 @@
 """The best reference of a recording and its nominal companions, and notices about it.
 
 The notices name sensors without a reference, repeated recordings and slow references. A reference is useless if its
-trajectory fits any reading, so that effects along it are its own. Then only differences of instances are left, which
-need no attitude.
+trajectory could fit any reading, so that effects along it may be its own errors. Only differences of instances then
+remain, which need no attitude.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from mavcal.calib.gap.schema import REFERENCE_NEED, USELESS_DEG
 from mavcal.calib.recording import Recording, Sensor
 
 _SLOWER = 0.5
-"""Ratio of rates above which a reference leaves out what the sensor sees. Chosen, not measured: an octave of what the
-sensor sees is missing then."""
+"""Ratio of the sensor's rate to the reference's, above which the reference is too slow. Chosen, not measured: an octave
+of the sensor's band is then missing."""
 _REPEATED = 0.1
-"""Share of samples with the stamp of another above which it is said. Chosen, not measured: single doublets occur in any
-log."""
+"""Fraction of samples with a repeated time stamp above which a notice is given. Chosen, not measured: single duplicates
+occur in any log."""
 
 
 def notices(real: Recording, sim: Recording | None, nominal: Sequence[Recording], ideal: Ideal) -> Iterator[str]:
@@ -108,7 +108,7 @@ def _hole_notice(real: Recording) -> Iterator[str]:
 
 
 def why_no_reference(real: Recording, sim: Recording) -> str:
-    """Why the simulator's recording is no reference, and what would be."""
+    """Why the simulator's recording is not a reference, and what would be one."""
     if have_same_samples(real, sim):
         return "the simulator's recording holds the same samples as the real one: was one file given twice?"
     ours, theirs = ({c.sensor for c in sensors_of(r)} for r in (real, sim))
@@ -138,7 +138,7 @@ def refusals(info: ReferenceInfo, sensors: Iterable[Sensor]) -> tuple[Refusal, .
 
 
 def uselessness(info: ReferenceInfo) -> str:
-    """How inaccurate the attitude of a useless reference is."""
+    """Text on the inaccuracy of a useless reference's attitude."""
     if math.isinf(info.att_sigma_deg):
         return "the trajectory that was estimated contradicts its own inertial unit all the time"
     return (
@@ -147,7 +147,7 @@ def uselessness(info: ReferenceInfo) -> str:
 
 
 def not_learned(info: ReferenceInfo) -> str:
-    """The same for another recording, from which noise was to be learned."""
+    """Notice about a recording with a useless reference, from which noise was to be learned."""
     return (
         f"nothing was learned of single sensors from the simulator's or a nominal recording: {uselessness(info)}; "
         f"it takes {REFERENCE_NEED}"
@@ -155,8 +155,8 @@ def not_learned(info: ReferenceInfo) -> str:
 
 
 DOUBTFUL_DEG = 0.5
-"""Standard deviation of a reference's attitude above which it is warned of. Chosen, not measured: a tilt of it reads
-like 0.09 m/s2."""
+"""Standard deviation of a reference's attitude, deg, above which a warning is given. Chosen, not measured: such a tilt
+reads like 0.09 m/s2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +168,12 @@ class BestReferences:
 
 
 def best_references(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> BestReferences | None:
-    """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances.
+    """The best available reference (GAP 3.5b); None: only other instances.
 
     Raises
     ------
     InvalidInputError
-        If time is not in seconds, or there is a simulator's recording that is no reference, and no other.
+        If time is not in seconds, or the only candidate is a simulator's recording that is not a reference.
     """
     check_times((real, *nominal, *(() if sim is None else (sim,))))
     chosen = _best_available(real, sim, nominal)
@@ -296,6 +296,6 @@ def _with_missing_sensors(ideal: Ideal, real: Recording) -> Ideal:
 
 
 def _nominal_reference(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
-    """The nominal recording's own reference, or the real one's if both are of one run."""
+    """The nominal recording's own reference, or the real one's if both are from one run."""
     own = recorded_reference(nominal)
     return own if own is not None else (ideal if have_same_times(real, nominal) else None)

@@ -1,7 +1,7 @@
 """Normal equations of a chain: each node is tied to its neighbours, and all of them share some constants.
 
 The matrix of the nodes is banded; the constants are its border. A Cholesky factor of the band and the Schur complement
-of the border solve it in a time that grows with the number of nodes.
+of the border solve it in time linear in the number of nodes.
 """
 
 from __future__ import annotations

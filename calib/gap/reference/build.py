@@ -52,8 +52,8 @@ _NEED = (
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
 _FAST_HZ = 100.0
-"""Rate, Hz, of a gyroscope whose turns between samples are hardly more than noise. Chosen, not measured: ten times the
-10 Hz up to which a vehicle moves as a whole."""
+"""Rate, Hz, of a gyroscope above which turns between samples are hardly more than noise. Chosen, not measured: ten
+times the 10 Hz up to which a vehicle moves as a whole."""
 _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are compared with each other."
 
@@ -77,14 +77,14 @@ def build(
     nominal
         Recordings without an effect, from which the noise and the Earth's field are learned.
     nuisance
-        Puts into the ideal readings of a companion's traces what is known of them already: it is no noise.
+        Adds known effects to the ideal readings of a companion's traces, so that they do not count as noise.
     companion
-        The companion that has them: `sim` or one of `nominal`; None: none.
+        The companion with these effects: `sim` or one of `nominal`; None: none.
 
     Raises
     ------
     IncomparableError
-        If `real` has no sensor, or nothing that it could be compared with.
+        If `real` has no sensor, or nothing to compare it with.
     InvalidInputError
         If the recordings have nothing in common.
     """
@@ -222,7 +222,7 @@ def _tilt_sd(chosen: BestReferences | None) -> float:
 
 
 def _reference_info(chosen: BestReferences | None) -> ReferenceInfo:
-    """The reference; a useless one has no bandwidth, since nothing is judged by it."""
+    """Description of the reference; a useless one has no bandwidth, since nothing is judged by it."""
     if chosen is None:
         return ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
     info = chosen.ideal.info
@@ -234,7 +234,7 @@ def _span(channels: Sequence[Channel]) -> float:
 
 
 def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
-    """Variance of the age of samples, by sensor that is judged by differences only; without zeros."""
+    """Variance of the age of samples, for each sensor that is judged by differences only; nonzero ones."""
     alone = {t.sensor for t in nominal} - {t.sensor for t in nominal if t.against is None}
     found = {s: age_of([t for t in nominal if t.sensor is s]) for s in alone}
     return {sensor: age for sensor, age in found.items() if age > 0.0}
@@ -266,7 +266,7 @@ def _with_more_noise(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequen
 def _at_same_rate(
     total: dict[Sensor, ResidualSpectrum], of_readings: Mapping[Sensor, ResidualSpectrum], traces: Sequence[Trace]
 ) -> dict[Sensor, ResidualSpectrum]:
-    """Learned noise without sensors of another rate, whose readings may be averaged or picked."""
+    """Learned noise without sensors of another rate, whose readings may be averaged or decimated."""
     rates = {t.sensor: t.fs for t in traces}
     other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > SAME_RATE}
     return {s: noise for s, noise in total.items() if s not in other}

@@ -1,9 +1,9 @@
 """Which channel of every instance is compared, and at which stage: at the sensor, against the calibration in force.
 
-A correction in force has the form ``corrected = L (sensor - offset - p(T))``. What it removes is no gap: an ideal
-sensor is one for which it is exact. What it scales is undone, so that an effect reads as it acts on the sensor, and as
-a simulator takes it: ``R L^-1 corrected``, with ``R`` the mounting, in body axes. A simulator's log flown with the same
-calibration is treated in the same way, and its offset from the ideal is part of the simulator.
+A correction in force has the form ``corrected = L (sensor - offset - p(T))``. The offset that it removes is not a gap:
+it is exact for an ideal sensor. Its scaling is undone, so that an effect has the size at the sensor, as simulators
+expect. The reading is ``R L^-1 corrected``, with ``R`` the mounting, in body axes. A simulator's log with the same
+calibration is treated in the same way; its offset from the ideal belongs to the simulator.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ Array = NDArray[np.float64]
 
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 SAME_RATE = 0.02
-"""Relative difference up to which two rates are one. Chosen, not measured: clocks and lost samples make less than 2
+"""Relative difference up to which two rates are equal. Chosen, not measured: clocks and lost samples make less than 2
 %."""
 SAME_SAMPLE = 0.05
-"""Share of a step by which the times of two instances may differ and still be one sample of both; beyond, their
+"""Time difference of two instances, as a fraction of a step, up to which their samples are simultaneous; beyond, their
 difference is movement. Chosen, not measured: a twentieth of a step of usual movement is less than noise."""
 TELLING_CURRENT = 0.5
-"""Standard deviation of the current, A, above which the field of the motors is told from an offset. Chosen, not
-measured: 0.05 uT/A then show 0.025 uT, a twentieth of a sensor's noise."""
+"""Least standard deviation of the current, A, to tell the field of the motors from an offset. Chosen, not measured:
+0.05 uT/A then show 0.025 uT, a twentieth of a sensor's noise."""
 FASTER = 1.5
-"""Times the rate of another unit, above which a unit is looked at when that has samples. Chosen, not measured: between
-one rate and twice the rate."""
+"""Ratio of two units' rates above which the faster one is evaluated at the sample times of the slower. Chosen, not
+measured: between one rate and twice the rate."""
 _BEFORE_S, _AFTER_S = 0.5, 0.2
-"""Seconds around a change of an offset: the autopilot says it late, and means over a moment have both. Chosen, not
-measured: a log states a parameter within tenths of a second."""
+"""Time, s, left out around a change of an offset: the autopilot logs it late, and averages contain both values. Chosen,
+not measured: a log states a parameter within tenths of a second."""
 _FILTERS = {Sensor.ACCEL: "INS_ACCEL_FILTER", Sensor.GYRO: "INS_GYRO_FILTER"}
 
 
@@ -148,7 +148,7 @@ def filter_gain(hz: Array, cutoff: float | None) -> Array:
 
 
 def sensors_of(recording: Recording) -> list[Channel]:
-    """One channel of every instance of the three sensors, comparable ones if there are several."""
+    """One channel for every instance of the three sensors; several instances get comparable channels."""
     chosen: list[Channel] = []
     for sensor in TRIADS:
         together = comparable_channels(recording, sensor)
@@ -161,7 +161,7 @@ def sensors_of(recording: Recording) -> list[Channel]:
 
 
 def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
-    """A channel of every instance from one source and stage: that of most instances, then the longest.
+    """A channel of every instance from one source and stage: the one with most instances, then the longest.
 
     Sources whose instances were sampled at different times are omitted: their difference would be movement.
     """
@@ -174,9 +174,9 @@ def comparable_channels(real: Recording, sensor: Sensor) -> dict[int, Channel]:
 
 
 def as_slow_as(companion: Recording, real: Recording) -> Recording:
-    """`companion` with every unit's samples picked at the rate of the same unit of `real`, where that is lower.
+    """`companion` with each unit decimated to the rate of the same unit of `real`, where that is lower.
 
-    A logger that writes every tenth sample aliases fast movement and noise. The companion has to be aliased in the same
+    A logger that writes every tenth sample aliases fast movement and noise. The companion must be aliased in the same
     way.
     """
     rates = {(s, i): rate_of(c) for s in TRIADS for i, c in comparable_channels(real, s).items()}
@@ -184,9 +184,9 @@ def as_slow_as(companion: Recording, real: Recording) -> Recording:
 
 
 def as_uneven_as(real: Recording, sim: Recording) -> Recording:
-    """`real` with units picked as rarely as the simulator's, where its log is thinned in some units of a sensor only.
+    """`real` with units decimated like the simulator's, if only some of that sensor's units are decimated there.
 
-    Where only the simulator's unit is aliased, the difference of two units would show a vibration that both have.
+    Where only the simulator's unit is aliased, the difference of two units would show a vibration common to both.
     """
     slow: dict[tuple[Sensor, int], float] = {}
     for sensor in TRIADS:
@@ -204,14 +204,14 @@ def _picked(channel: Channel, rate: float | None) -> Channel:
 
 
 def rate_of(channel: Channel) -> float:
-    """Samples a second, by the median of its steps."""
+    """Samples per second, from the median time step."""
     return 1.0 / max(float(np.median(np.diff(channel.t))), 1e-9)
 
 
 def with_common_channels(real: Recording, other: Recording) -> tuple[Recording, Recording]:
-    """Both without sources that only one has, if every instance of `real` keeps a channel.
+    """Both recordings without sources that only one has, if every instance of `real` keeps a channel.
 
-    A stage before the firmware's filter says little about one behind it.
+    Samples before the firmware's filter tell little about those after it.
     """
     dropped: set[tuple[Sensor, tuple[str, Stage]]] = set()
     for sensor in TRIADS:

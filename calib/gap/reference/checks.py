@@ -1,4 +1,4 @@
-"""Checks of a trace: length, life, frame, unit, and a matching reference."""
+"""Checks of a trace: length, liveness, frame, unit, and a matching reference."""
 
 from __future__ import annotations
 
@@ -25,41 +25,41 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 SHORTEST_S = 5.0
-"""Seconds of samples beside a reference, for any statement. Chosen, not measured: a few movements of a vehicle."""
+"""Least time of samples with a reference, s. Chosen, not measured: a few movements of a vehicle."""
 FEWEST = 48
-"""Samples beside a reference, for any statement. Chosen, not measured: five seconds of a compass at 10 Hz."""
+"""Least number of samples with a reference. Chosen, not measured: five seconds of a compass at 10 Hz."""
 _PIECE_S, _COVERED = 1.0, 0.5
 """Mean length of the pieces, s, and the share of the time that they cover. A channel below both is fragmented. Chosen,
 not measured: movements last a second, and held poses with pauses between them last longer."""
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}
-"""Rms about the mean above which an ideal sensor moves, m/s2, rad/s and uT. Chosen, not measured: 3 % of gravity and of
-a field of 50 uT, and 1.7 deg/s."""
+"""Rms about the mean above which an ideal reading counts as moving, m/s2, rad/s and uT. Chosen, not measured: 3 % of
+gravity and of a field of 50 uT, and 1.7 deg/s."""
 _TURNS_MUCH = 3.0
-"""Times `MOVES`, above which an accelerometer's movement about its mean tells its frame. Chosen, not measured: a tenth
-of gravity."""
+"""Multiple of `MOVES` above which an accelerometer's movement about its mean shows its frame. Chosen, not measured: a
+tenth of gravity."""
 _SAME = 0.8
-"""Correlation above which readings and reference are the same but for frame or unit. Chosen, not measured: two thirds
-of the power are common then."""
+"""Correlation above which readings and reference agree except for frame or unit. Chosen, not measured: two thirds of
+the power are common then."""
 _SLIGHT = 0.02
-"""Share of misfit below which no other frame is looked for. Source: `1 - cos(11 deg)`; the angle is chosen, not
-measured: mountings are off by less."""
+"""Relative misfit below which no other frame is sought. Source: `1 - cos(11 deg)`; the angle is chosen, not measured:
+mountings are off by less."""
 _FAR_OFF = 6.0
-"""Ratio of whole fields that no iron reaches. Chosen, not measured: twice the ratio of the Earth's strongest field to
-its weakest."""
+"""Ratio of field strengths beyond any effect of iron. Chosen, not measured: twice the ratio of the Earth's strongest
+field to its weakest."""
 _ONE_VALUE = 1e-12
-"""Range below which a number is one. Source: rounding, 1e-16 of the readings, with a margin."""
+"""Range below which readings are constant. Source: rounding, 1e-16 of the readings, with a margin."""
 _DIGITS = 1e-12
-"""Share of the readings that the computer's rounding makes. Source: 1e-16 for each operation, with a margin."""
+"""Rounding error of the computer relative to the readings. Source: 1e-16 for each operation, with a margin."""
 _POSSIBLE = 1e7
 """Reading that no sensor has in any unit. Chosen, not measured: 200 times the Earth's field in nanotesla."""
 _WILD = 50.0
-"""Times all that the reference reads, above which a single reading is damage. Chosen, not measured: a mistaken unit is
-told by all readings."""
+"""Multiple of the reference's largest reading above which a single reading is damage. Chosen, not measured: a mistaken
+unit shows in all readings."""
 _SELDOM = 0.01
-"""Share of readings up to which they are single. Chosen, not measured: one in a hundred."""
+"""Fraction of readings up to which they count as single. Chosen, not measured: one in a hundred."""
 _SLOWEST_S = 0.7
-"""Seconds between two samples, above which time is not in seconds, or nothing is left of a movement. Chosen, not
-measured: logs have 5 samples a second and more, with a margin."""
+"""Sample interval, s, above which time is not in seconds, or no movement is resolved. Chosen, not measured: logs have 5
+samples a second and more, with a margin."""
 _NOISIER = 10.0
 """Ratio of noise powers above which the reference is worse than the sensor. Chosen, not measured: three times the
 amplitude."""
@@ -69,10 +69,10 @@ _FACTORS = {
     Sensor.GYRO: {57.29578: "57.3, as between degrees and radians"},
     Sensor.MAG: {100.0: "a hundred, as between gauss and uT", 10.0: "ten, as between mgauss and uT"},
 }
-"""Ratios of sizes that mistaken units make, and how they are said. Source: definitions of the units."""
+"""Ratios of magnitudes by mistaken units, and their wording. Source: definitions of the units."""
 _ANY_FACTOR = {1e6: "a million", 1000.0: "a thousand", 4.0: "four"}
-"""Ratios that any sensor may be off by, and how they are said. Source: prefixes of the SI. Four is chosen, not
-measured: two steps of a sensor's range."""
+"""Ratios by which any sensor may be wrong, and their wording. Source: prefixes of the SI. Four is chosen, not measured:
+two steps of a sensor's range."""
 _WEAKEST_UT, _STRONGEST_UT = 10.0, 130.0
 """Weakest and strongest field that is the Earth's, uT. Source: it has 22 to 67 uT; a factor of two is left for
 buildings that bend it."""
@@ -91,7 +91,7 @@ class Checked:
 
 
 def checked(traces: tuple[Trace, ...]) -> Checked:
-    """The traces that are long enough, alive, and in the frame and unit of their reference."""
+    """The traces that are long enough, live, and in the frame and unit of their reference."""
     accepted, refused = [], []
     for trace in traces:
         refusal = refusal_of(trace)
@@ -158,7 +158,7 @@ def _impossible_reading(trace: Trace, name: str, measured: Array, ideal: Array) 
 
 
 def _constant_axis(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """An axis that never changes; a live sensor has noise even at rest."""
+    """Refusal for an axis that never changes; a live sensor has noise even at rest."""
     stuck = np.ptp(measured, axis=0) < _ONE_VALUE
     if stuck.any():
         moves = (ideal.std(axis=0) > MOVES[trace.sensor]) & stuck
@@ -173,7 +173,7 @@ def _constant_axis(trace: Trace, name: str, measured: Array, ideal: Array) -> Re
 
 
 def _uncorrelated(trace: Trace, name: str) -> Refusal | None:
-    """A sensor that does not follow its reference: one of them is dead, or of another movement."""
+    """Refusal for a sensor that does not follow its reference: one of them is dead, or from another movement."""
     if trace.against is not None or not trace.rate_known:
         return None
     axes = uncorrelated_axes(trace, MOVES[trace.sensor])
@@ -184,7 +184,7 @@ def _uncorrelated(trace: Trace, name: str) -> Refusal | None:
 
 
 def _noise_free_difference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """A difference without noise: the reference was made from the sensor, or both by one formula.
+    """Refusal for a noise-free difference: the reference was computed from the sensor, or both by one formula.
 
     Two instances of a simulator may be equal to the last digit; their difference is then known exactly.
     """
@@ -222,7 +222,7 @@ def _spreads(values: Array) -> Array:
 
 
 def _wrong_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """A wrong unit of a magnetometer, by the norm of the field, which iron changes by less than a few times."""
+    """Refusal for a magnetometer in a wrong unit, by the field strength, which iron changes by a small factor only."""
     read, true = (float(np.median(np.linalg.norm(v, axis=1))) for v in (measured, ideal))
     if true == 0.0 or read == 0.0:
         return None  # nothing was read: that is said elsewhere
@@ -240,7 +240,7 @@ def _wrong_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
 
 
 def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    """A reference with far more white noise than the sensor."""
+    """Refusal for a reference with far more white noise than the sensor."""
     if trace.against is not None:
         return None
     length = min(256, len(measured) // 6)
@@ -367,5 +367,5 @@ def check_times(recordings: Iterable[Recording]) -> None:
 
 
 _TIMES = {"nanoseconds": (2e5, "1e-9"), "microseconds": (200.0, "1e-6"), "milliseconds": (_SLOWEST_S, "1e-3")}
-"""Median steps above which time is taken for that unit: sensors have some 5 to 5000 samples a second. Source: those
-units, and 5 to 5000 samples a second."""
+"""Median steps above which time is taken to be in that unit. Source: definitions of the units, and 5 to 5000 samples
+per second."""

@@ -1,7 +1,7 @@
 """Errors of the vehicle's own estimator: its velocity and attitude beside the smoothed trajectory.
 
-An estimator on board knows only the past, and one that is tuned for a quieter sensor follows the noise. Its controller
-answers these errors, so that they look like drag and like another thrust curve. The smoother knows the whole flight.
+An on-board estimator uses only past data, and one that is tuned for a quieter sensor follows the noise. The controller
+responds to these errors, so that they look like drag and a different thrust curve. The smoother uses the whole flight.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _OFF: Final = 0.1
 """Slow difference between the velocities of estimator and GPS, m/s, above which the estimator is checked. Source:
 measured; 0.02 to 0.04 with ArduPilot's simulator, 0.05 in slow and 0.16 to 0.3 in lively flights of PX4's SIH."""
 _CLOSER: Final = 0.5
-"""Largest part of that difference that a better velocity may leave. Chosen, not measured: both follow the same GPS."""
+"""Largest ratio of that difference with a better velocity to that with the estimator's. Chosen, not measured: both
+follow the same GPS."""
 _SLOW_S: Final = 1.0
 """Seconds over which a difference is averaged, so that the GPS's noise averages out. Source: its noise of SIH is 0.16
 m/s along the vertical, at 8 Hz."""
@@ -35,7 +36,7 @@ _SLOWER_HZ: Final = 20.0
 
 
 def estimator_error(recording: Recording) -> EstimatorError | None:
-    """How far velocity and attitude of the vehicle's estimator are off; None where nothing better is known."""
+    """Error of the vehicle estimator's velocity and attitude; None where nothing better is known."""
     velocity, attitude = (state_of(recording, s) for s in (Sensor.VELOCITY, Sensor.ATTITUDE))
     gps = next(iter(recording.find(Sensor.VELOCITY)), None)
     unit = _fastest_unit(recording)
@@ -71,7 +72,7 @@ def _fastest_unit(recording: Recording) -> tuple[Channel, Channel] | None:
 
 
 def _slow_difference(gps: Channel, t: Array, velocity: Array, late: float) -> float:
-    """Robust rms of GPS less `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, of the worse horizontal axis."""
+    """Robust rms of GPS minus `velocity` (K, 3) at `t`, averaged over `_SLOW_S`, m/s, on the worse horizontal axis."""
     seen = (gps.t - late > t[0]) & (gps.t - late < t[-1])
     apart = gps.values[seen, :2] - interpolated(t, velocity[:, :2], gps.t[seen] - late)
     slow = uniform_filter1d(apart, max(1, round(_SLOW_S * rate_of(gps))), axis=0)

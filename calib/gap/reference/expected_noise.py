@@ -1,12 +1,12 @@
 """Noise that a recording is expected to have because it flies differently from the nominal recordings.
 
-Motors: ArduPilot's SITL shakes the vehicle by a random force in proportion to the throttle (``Aircraft::add_noise``).
-Its inertial units sample that force at different moments. The power of their difference goes with the square of the
-throttle, and is zero on the ground.
+Motors: ArduPilot's SITL shakes the vehicle by a random force proportional to the throttle (``Aircraft::add_noise``).
+Its inertial units sample that force at different times. The power of their difference is proportional to the square of
+the throttle, and zero on the ground.
 
-Movement: a pose errs by a share of the movement. Jitter of the time stamps, markers that yield and a body that bends
-leave a residual in proportion to the movement at each frequency, without a fixed phase. Example: 2 ms of jitter are 6 %
-of a movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
+Movement: a pose errs by a fraction of the movement. Time-stamp jitter, flexible markers and a bending body leave a
+residual proportional to the movement at each frequency, without a fixed phase. Example: 2 ms of jitter are 6 % of a
+movement at 5 Hz. A nominal recording shows that share, together with the sensor's own noise.
 
 Age of samples: a log writes the latest sample of every unit under one time stamp. Each is older by up to a period of
 its own driver (SITL runs its inertial units at 1000 and 760 Hz). The difference of two units then has noise in
@@ -136,14 +136,14 @@ def with_motor_noise(trace: Trace, found: Mapping[Sensor, MotorNoise]) -> Trace:
 
 
 _ABOUT = 0.3
-"""Part of a frequency within which a line of a rotor, whose speed differs, is less than half of what there is. Chosen,
-not measured: speeds differ by as much between hover and climb."""
+"""Half width of a running median, relative to the frequency: a rotor line of varying speed fills less than half of it.
+Chosen, not measured: speeds differ by as much between hover and climb."""
 _REST_S, _EXCESS = 2.0, 2.0
-"""Seconds with the motors off that tell of noise, and the times by which it must exceed what is expected. Chosen, not
-measured: a rest of two seconds has some hundred samples, whose power is known to 15 %."""
+"""Least time, s, with the motors off to judge noise, and the ratio by which it must exceed the expected noise. Chosen,
+not measured: a rest of two seconds has some hundred samples, whose power is known to 15 %."""
 _BODY_HZ = 10.0
-"""Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond. Chosen, not measured:
-the bandwidth of usual attitude controllers."""
+"""Frequency, Hz, up to which a vehicle moves as a rigid body: attitude controllers end there, rotors begin beyond.
+Chosen, not measured: the bandwidth of usual attitude controllers."""
 
 
 def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:
@@ -234,7 +234,7 @@ def slopes_squared(trace: Trace) -> Array:
 
 
 def age_of(nominal: Sequence[Trace]) -> float:
-    """Largest variance (s2) of the age of samples among the differences `nominal`; zero if noise does not follow it."""
+    """Largest variance (s2) of the sample age among the `nominal` differences; zero if noise does not depend on it."""
     return max((_age_variance(trace) for trace in nominal if trace.observed.sum() >= FEWEST), default=0.0)
 
 
@@ -253,7 +253,7 @@ def _age_variance(trace: Trace, change: Array | None = None) -> float:
 
 
 def _fitted_variances(trace: Trace, base: Array, more: Sequence[Array]) -> AmplitudeFit | None:
-    """Stationary noise of each axis, in units of its mean square, beside `base` and variances `more`, all (3 n,)."""
+    """Fitted stationary noise of each axis, in units of its mean square, beside `base` and `more`, all (3 n,)."""
     squares = squared_residuals(trace)
     if not squares.any(axis=0).all():
         return None
@@ -294,7 +294,7 @@ class AgeNoise:
 def age_noise_of(nominal: Sequence[Trace]) -> dict[tuple[Sensor, bool], AgeNoise]:
     """Noise of sample age in `nominal` flights, by sensor and whether against the trajectory (True) or a unit (False).
 
-    The age is the same on every axis, so an axis without movement takes the noise of the others.
+    The age is the same on every axis, so an axis without movement gets that of the others.
     """
     found: dict[tuple[Sensor, bool], list[AgeNoise]] = {}
     for trace in nominal:

@@ -1,6 +1,6 @@
-"""Readings of ideal sensors as signals over time, and recorded ones.
+"""Readings of ideal sensors as signals over time.
 
-A recorded reference is in ``ref_*`` columns, or is the readings of a simulator on the same trajectory.
+A recorded reference is in ``ref_*`` columns, or consists of the readings of a simulator on the same trajectory.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 Array = NDArray[np.float64]
 
 _QUIET_S = 1.0
-"""Length of the stretches; the quietest tells the noise of a reading. Chosen, not measured: it has tens of samples, and
-flights have moments of calm as long."""
+"""Length, s, of the spans, of which the quietest shows the noise of a reading. Chosen, not measured: it has tens of
+samples, and flights have calm spans of that length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +43,9 @@ class Ideal:
     place
         North, east, down of a local origin, m, or None.
     warnings
-        What was noticed on the way.
+        Warnings about the reference.
     noise
-        By sensor, where the reference was made of readings with noise: what sensors like those leave beside it.
+        By sensor, for a reference made from noisy readings: the noise of such a sensor relative to it.
     """
 
     info: ReferenceInfo
@@ -157,7 +157,7 @@ def _vehicle_data(recording: Recording, channel: Channel, t: Array) -> dict[str,
 
 
 TABLE = "table"
-"""Source of the channels of a table: the only recordings whose own attitude is a truth."""
+"""Source of the channels of a table, the only recordings whose own attitude counts as truth."""
 
 
 def reference_readings(recording: Recording) -> dict[Sensor, Signal]:

@@ -21,49 +21,48 @@ Array = NDArray[np.float64]
 _BANDS = 28
 """Edges of bands, before wide ones are divided. Chosen, not measured: some eight to a decade of frequency."""
 _COLOURED = 1e-4
-"""Chance of the band furthest from white in white noise, below which it is not white. Chosen, not measured: a recording
-has some ten series to ask."""
+"""P-value of the band furthest from white, below which noise is not white. Chosen, not measured: a recording has some
+ten series to test."""
 _OFF = 1e-3
-"""Chance of a band beside white noise, walk and flicker, below which it is taken as it is. Chosen, not measured: a
-spectrum has some tens of bands."""
+"""P-value of a band under white noise, walk and flicker, below which the measured power is kept. Chosen, not measured:
+a spectrum has some tens of bands."""
 _FLOOR = 1e-9
-"""Share of the mean power that any band has. Source: it guards a division and a logarithm."""
+"""Least power of a band, relative to the mean. Source: it guards a division and a logarithm."""
 _SINGLE = 2.0**-24
 """Relative error of a single-precision number. Source: IEEE 754, half a unit of 24 bits."""
 _CLEANED = 6
-"""Times that lines are taken out. Chosen, not measured: it bounds the time; each takes out the strongest that are
-left."""
+"""Rounds of line removal. Chosen, not measured: it bounds the time; each removes the strongest remaining lines."""
 _PARTS = 16
 """Parts of a recording in which its noise should be the same. Chosen, not measured: some seconds each in a recording of
 a minute."""
 _CORNERS = 6
-"""Bands between the frequencies below which drifts are level. Chosen, not measured: five such frequencies over the
-whole range."""
+"""Spacing, in bands, of the corner frequencies of drifts. Chosen, not measured: five corners over the whole range."""
 _SHRUNK = 12.0
-"""Coefficients that speak for the smooth model, against those of a band that differs. Chosen, not measured: a band of
-as many counts half."""
+"""Weight of the smooth model, in coefficients, against those of a differing band. Chosen, not measured: a band of as
+many gets half the weight."""
 FEWEST = 64
-"""Samples of a recording that say something of noise, and coefficients of a band that is divided no further. Chosen,
-not measured: a variance of as many is known to 18 % (sqrt(2/64))."""
+"""Least samples of a recording to estimate noise, and coefficients of a band that is not divided further. Chosen, not
+measured: a variance of as many is known to 18 % (sqrt(2/64))."""
 UNSTEADY = 1e-4
-"""Chance of steady noise that seems to follow something: the motor power, or the change of a reading. Chosen, not
-measured: a recording has some ten series to ask."""
+"""P-value below which noise depends on the motor power, or on the change of a reading. Chosen, not measured: a
+recording has some ten series to test."""
 _WHOLE = 0.9
 """Share of the samples observed, above which a recording has few holes. Chosen, not measured: a tenth of the power is
 lost at most."""
 LINE_HZ = 1.0
-"""Width of a line of a rotor, Hz: what telemetry and a second's wandering leave open. Chosen, not measured: speeds in
-hover wander by about as much."""
+"""Width of a rotor line, Hz, from telemetry error and wandering within a second. Chosen, not measured: speeds in hover
+wander by about as much."""
 _HOVERS = 0.08
 """Relative difference of the speeds of rotors from flight to flight. Chosen, not measured: battery, load and air change
 a hover by some percent."""
 LOWEST_ROTOR_HZ = 5.0
 """Speed, Hz, below which no rotor turns. Chosen, not measured: 300 revolutions a minute carry nothing."""
 _LEAST = 6
-"""Coefficients in the lowest band. Chosen, not measured: a power of as many is known to 58 % (sqrt(2/6))."""
+"""Least number of coefficients in the lowest band. Chosen, not measured: a power of as many is known to 58 %
+(sqrt(2/6))."""
 _SEEN = 5.0
-"""Ratio to the filter's cut-off, beyond which too little is left to be brought back. Chosen, not measured: a filter of
-second order leaves 4 % of the amplitude there."""
+"""Frequency relative to the filter's cut-off beyond which the attenuation cannot be inverted. Chosen, not measured: a
+filter of second order leaves 4 % of the amplitude there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +70,8 @@ class ResidualSpectrum:
     """Spectrum of the residual of nominal recordings per DCT bin: `psd` (K, 3) in variance of one sample on `hz` (K,).
 
     `dof` (K,) are the squared coefficients that each band was averaged from; `fs` their sampling rate, `low_pass_hz`
-    the firmware's filter that is in it. `smooth`: its form is known, and only its size was learned. `steady`: it is as
-    strong at any time; a simulator's may cease with the motors.
+    the firmware's filter that is in it. `smooth`: its shape is known, and only its size was learned. `steady`: it is
+    stationary; a simulator's noise may stop with the motors.
     """
 
     hz: Array
@@ -90,7 +89,7 @@ class ResidualSpectrum:
 
     @property
     def white(self) -> bool:
-        """Whether every band agrees with the mean of all, at any time."""
+        """Whether every band agrees with the mean of all, and the noise is stationary."""
         if self.smooth:
             return self.steady and bool(np.ptp(self.psd, axis=0).max() == 0.0)
         chance = two_sided_chances(self.psd / self.sigma**2, self.dof)
@@ -189,7 +188,7 @@ def _is_stationary(residual: Array) -> bool:
 
 
 def digit_variance(trace: Trace) -> float:
-    """Variance of single-precision rounding; instances of a simulator may agree to the last digit."""
+    """Variance of single-precision rounding, the least noise: instances of a simulator may agree to the last digit."""
     return max((_SINGLE * float(np.abs(trace.measured).max())) ** 2, float(np.finfo(float).tiny))
 
 
@@ -220,9 +219,9 @@ def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectr
     trace
         Against a reference, or against another instance.
     total
-        What nominal recordings leave of a trace of the same kind, the reference's error included.
+        Residual spectrum of such a trace in nominal recordings, the reference's error included.
     own
-        What their instances leave in a difference to each other: twice the sensor's own noise.
+        Spectrum of the difference of their instances: twice the sensor's own noise.
     """
     alone = trace.against is None
     if alone and own is not None:
@@ -277,8 +276,8 @@ def _quantisation_variance(trace: Trace) -> float:
 def spectrum_at(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
     """The spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
 
-    It is converted as a density, and to the other filter as far as its own filter lets it through; beyond, the nearest
-    band is used.
+    It is converted as a density, and to the other filter as far as its own filter passes it; beyond, the nearest band
+    is used.
     """
     filtered = low_pass_hz != noise.low_pass_hz
     known = noise.hz <= _SEEN * (noise.low_pass_hz or np.inf) if filtered else np.ones(len(noise.hz), dtype=bool)

@@ -30,12 +30,12 @@ GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """Gravity in north-east-down, m/s2. Source: standard gravity, which both firmwares use (FLIGHT_CONTROLLERS)."""
 
 _LEAST = 16
-"""A pose needs so many samples. Chosen, not measured: a cubic spline needs four."""
+"""Least number of samples of a pose. Chosen, not measured: a cubic spline needs four."""
 
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """Frequencies in Hz up to which rotation and translation are taken from a pose; None: all."""
+    """Cut-off frequencies, Hz, for rotation and translation of a pose; None: no cut-off."""
 
     rotation: float | None = None
     translation: float | None = None
@@ -61,10 +61,10 @@ class PoseTrajectory:
     cutoffs: Cutoffs
     att_sigma_deg: float
     known: NDArray[np.bool_]
-    """Where on `t` it was recorded, shape (N,); elsewhere it was drawn across a hole."""
+    """Mask (N,) of `t` where the pose was recorded; elsewhere it was interpolated across a hole."""
 
     def body_from_ned(self, t: Array) -> Rotation:
-        """At the times `t`."""
+        """Rotation from north-east-down to body axes at the times `t`."""
         return rotation(Signal(self.t, self.attitude).at(t)).inv()
 
 
@@ -105,7 +105,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTraject
 
 
 def _known(attitude: Signal, smooth: LowPassedSignal) -> NDArray[np.bool_]:
-    """Where an attitude was recorded nearby, and not interpolated across a hole."""
+    """Mask of times with an attitude recorded nearby, not interpolated across a hole."""
     known = attitude.known(smooth.t)
     if smooth.cutoff_hz is None or known.all():
         return known
@@ -114,15 +114,14 @@ def _known(attitude: Signal, smooth: LowPassedSignal) -> NDArray[np.bool_]:
 
 
 def _check_convention(smooth: LowPassedSignal, gyro: Array, force: Array | None) -> None:
-    """Check that the quaternion turns as the gyroscope does.
+    """Check that the rotation of the quaternion agrees with the gyroscope.
 
-    Some wrong conventions turn as a gyroscope in another frame does; then gravity decides.
+    Some wrong conventions agree with a gyroscope in another frame; then gravity decides.
 
     Raises
     ------
     InvalidInputError
-        If only its inverse, or its numbers in another order, turn as the gyroscope does. If it has nothing in common
-        with the gyroscope.
+        If only its inverse, or its numbers in another order, agree with the gyroscope. If nothing does.
     """
     if np.linalg.eigvalsh(np.cov(gyro.T))[1] < _TURNING**2:
         return  # a turn about one axis is a turn the other way with a sign
@@ -160,8 +159,8 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "written z w x y": lambda q: q[:, [1, 2, 3, 0]],
 }
 _TURNING = 0.05
-"""Standard deviation about a second axis, rad/s, above which turns tell the convention. Chosen, not measured: 3 deg/s
-are beyond the noise of any gyroscope."""
+"""Least standard deviation of the rate about a second axis, rad/s, to determine the convention. Chosen, not measured: 3
+deg/s are beyond the noise of any gyroscope."""
 _CONVENTION_HZ = 5.0
 """Frequency, Hz, up to which turns are compared. Chosen, not measured: poses and gyroscopes both follow vehicles
 there."""
@@ -246,7 +245,8 @@ def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | Non
 
     ``m = R_bn B + h``, linear in B and every h; residuals beyond three times their median lose weight. With too few
     attitudes to separate B and h, h is zero. A magnetometer in another frame fits no field in its own: B is then that
-    of the frame in which it fits and points north. None also if several frames fit alike, as they do about one axis.
+    of the frame in which it fits and points north. None also if several frames fit equally, as with rotations about one
+    axis only.
     """
     rows, values, owner = [], [], []
     for i, channel in enumerate(channels):
@@ -270,9 +270,9 @@ def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | Non
 
 
 def _magnetometer_frame(design: Array, m: Array) -> Array | None:
-    """Exchange of axes and signs after which `m` (N, 3) fits a field; None if several do and the identity does not.
+    """Exchange of axes and signs with which `m` (N, 3) fits a field; None if several fit and the identity does not.
 
-    A frame and its opposite fit alike, with opposite fields: the one whose field points north is taken.
+    A frame and its opposite fit equally, with opposite fields: the one whose field points north is chosen.
     """
     few = slice(None, None, max(1, len(m) // 500))
     flat = design[few].reshape(-1, design.shape[2])
@@ -298,13 +298,13 @@ def _magnetometer_frame(design: Array, m: Array) -> Array | None:
 
 
 _FITS = 0.1
-"""Share of a magnetometer's movement that may be left beside its field: more does not fit at all. Chosen, not measured:
-a field with any iron fits far better."""
+"""Largest residual of a magnetometer's movement for a fitting frame, as a fraction. Chosen, not measured: a field with
+any iron fits far better."""
 
 
 _SPREAD = 0.98
-"""Largest singular value of the mean attitude: 1 if it never changes, 0 if all are visited. Chosen, not measured:
-attitudes within some 10 degrees of each other."""
+"""Limit of the largest singular value of the mean attitude: 1 if it never changes, 0 if all are visited. Chosen, not
+measured: attitudes within some 10 degrees of each other."""
 
 
 def _robust_fit(design: Array, m: Array) -> Array:

@@ -44,32 +44,32 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
-"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S. Chosen, not measured: vehicles are
-steered up to 5 Hz, and nodes cost time."""
+"""Step between nodes, s: the bandwidth of the ideal accelerometer is half of 1 / STEP_S. Chosen, not measured: vehicles
+are steered up to 5 Hz, and nodes cost time."""
 _STRAIN = 6.0
-"""Standard deviations above which an interval is not believed. Chosen, not measured: far beyond what normal errors of
-any length of flight reach."""
+"""Standard deviations above which an interval is contradicted. Chosen, not measured: far beyond normal errors in a
+flight of any length."""
 _LOUD, _WORST = 0.3, 0.1
-"""Median difference between unit and trajectory, in standard deviations, above which the unit may be louder than
-assumed; and the part of such a flight that is left out, so that a crash is no noise. Source: measured for the first;
-0.01 to 0.03 with ArduPilot's simulator, 0.8 with PX4's SIH. The other is chosen: crashes are shorter."""
+"""Median difference between unit and trajectory, in standard deviations, above which the unit may be noisier than
+assumed. Then the fraction of such a flight that is left out, so that a crash does not count as noise. Source: measured
+for the first; 0.01 to 0.03 with ArduPilot's simulator, 0.8 with PX4's SIH. The other is chosen: crashes are shorter."""
 _AROUND = 10
-"""Intervals on either side that are not believed either. Chosen, not measured: a second at `STEP_S`."""
+"""Intervals on either side that are excluded too. Chosen, not measured: a second at `STEP_S`."""
 _FOLLOWED_HZ = 0.2 / STEP_S
-"""Up to which a spline through the velocities of the nodes follows an acceleration. Source: computed for a sine; 1.7 %
-(rms) of the acceleration is missed there, 30 % at twice this frequency."""
+"""Frequency, Hz, up to which a spline through the nodes' velocities follows an acceleration. Source: computed for a
+sine; 1.7 % (rms) of the acceleration is missed there, 30 % at twice this frequency."""
 _TURNS_HZ = 0.25 * STEPS / STEP_S
-"""Up to which turns between the steps are followed: four steps a period. Source: twice the two samples a period that
-sampling needs."""
+"""Frequency, Hz, up to which turns between the steps are followed: four steps a period. Source: twice the Nyquist
+minimum of two samples a period."""
 _TRIALS = 3
 """Iterations after which the inertial units can be compared. Chosen, not measured: costs then change by far less than
 `_CLOSE`."""
 _FEWEST_GPS = 20
-"""Velocities, for a trajectory. Chosen, not measured: two to four seconds of a usual receiver."""
+"""Least number of GPS velocities. Chosen, not measured: two to four seconds of a usual receiver."""
 _SHORTEST_S = 10.0
-"""Seconds, for a trajectory. Chosen, not measured: shorter ones hardly tell attitude from biases."""
+"""Shortest trajectory, s. Chosen, not measured: shorter ones hardly tell attitude from biases."""
 _LONGEST_S = 1800.0
-"""Seconds, for a trajectory. Chosen, not measured: it bounds time and memory, and most flights are shorter."""
+"""Longest trajectory, s. Chosen, not measured: it bounds time and memory, and most flights are shorter."""
 _DEFAULT_YEAR = 2025.0
 """Year of the Earth's field, where a recording has no date. Chosen, not measured: the field changes by less than 0.1 uT
 a year at most places."""
@@ -77,22 +77,21 @@ _MODEL_SD, _GUESS_SD = 1.0, 20.0
 """Standard deviation of the Earth's field, uT, of a model and of a guess from the readings. Chosen, not measured:
 crustal fields are about 0.2 uT, buildings more; a guess is off by two fifths."""
 _CLOSE = 200.0
-"""Twice the log-likelihood by which one unit may fit worse than another. Chosen, not measured: an offset costs some
-sixty, and three of them should not decide."""
+"""Largest difference in twice the log-likelihood of units that fit equally well. Chosen, not measured: an offset costs
+some sixty, and three of them should not decide."""
 _LATE_S, _MOSTLY = 0.002, 0.5
-"""Delay between gyroscopes, s, and the part of their difference that it may leave. Chosen, not measured: 2 ms are a
-sample at 500 Hz, and half is most of it."""
+"""Least delay between gyroscopes, s, and largest fraction of their difference that remains without it. Chosen, not
+measured: 2 ms are a sample at 500 Hz, and half is most of it."""
 _MEAN_S = 0.1
-"""Seconds over which their readings are averaged before. Chosen, not measured: vibration averages out."""
+"""Averaging time, s, of their readings before the comparison. Chosen, not measured: vibration averages out."""
 _WARMER = 40.0
-"""Twice the log-likelihood by which biases that follow the temperature, or wander, must fit better. Source: decision
-9."""
+"""Least gain of thermal or wandering biases, in twice the log-likelihood. Source: decision 9."""
 _FURTHER, _LOUDER, _WALKS = 10.0, 10.0**0.5, 6
-"""Times that a gyroscope's bias may wander more, that the noise of a unit may be louder, and how often in a row that is
-tried. Source: decision 9 for the first. The others are chosen, not measured: PX4's SIH is 30 times as loud as assumed.
+"""Factors by which a gyroscope's bias walk and a unit's noise are raised at each trial, and the most trials. Source:
+decision 9 for the first. The others are chosen, not measured: PX4's SIH is 30 times as noisy as assumed.
 """
 _DECISIVE = 10.0
-"""Twice the log-likelihood by which a louder noise must fit better. Source: Kass and Raftery 1995, odds of 150 to 1."""
+"""Least gain of a larger noise, in twice the log-likelihood. Source: Kass and Raftery 1995, odds of 150 to 1."""
 _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3
 """Standard deviation of a magnetometer's mean gain, where that field is known and where it is not. Source: decision 8;
 where the field is not known the gain is one."""
@@ -102,8 +101,8 @@ where the field is not known the gain is one."""
 class SmoothedTrajectory:
     """A trajectory, and the instances that it was made with.
 
-    `late` are the delays of gyroscope and accelerometer in the firmware's filters, s: the trajectory is without them,
-    and the ideal readings have them again.
+    `late` are the delays of gyroscope and accelerometer in the firmware's filters, s. They are removed from the
+    trajectory and restored in the ideal readings.
     """
 
     state: TrajectoryState
@@ -158,7 +157,7 @@ def _given(recording: Recording) -> _Given | None:
 
 
 def plain_trajectory(recording: Recording) -> TrajectoryState | None:
-    """The smoothed trajectory of the first unit, whose calibration is believed but for biases; None without one."""
+    """The smoothed trajectory of the first unit, with its calibration accepted except for biases; None without one."""
     given = _given(recording)
     if given is None:
         return None
@@ -201,7 +200,7 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
 def _unit_without_delay(
     best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
 ) -> SmoothedTrajectory:
-    """Of units that fit about equally, the one whose gyroscope is not late: no sensor reads the future."""
+    """Of units that fit about equally, the one whose gyroscope is not late: no sensor can be early."""
     for other in close:
         first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
         if first is None or second is None or other is best:
@@ -218,7 +217,7 @@ def _unit_without_delay(
 
 
 def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
-    """The trajectory with the unit's own errors, and with its noise if that has more evidence."""
+    """The trajectory with the unit's errors estimated, and with its noise if that has more evidence."""
     imu = found.imu
     state = smooth(imu, aiding, found.state)
     calm, loud = _calm(imu, state)
@@ -231,7 +230,7 @@ def _with_unit_errors(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTraj
 
 @dataclass(frozen=True, eq=False)
 class _Estimated:
-    """A trajectory, and what of the unit was free."""
+    """A trajectory, and which parameters of the unit were free."""
 
     state: TrajectoryState
     matrices: bool
@@ -246,8 +245,8 @@ class _Estimated:
 def _with_matrix_errors(imu: Increments, aiding: Aiding, state: TrajectoryState, *, loud: bool) -> _Estimated:
     """The trajectory with scales and misalignments, and thermal or wandering biases if those fit far better.
 
-    Unchanged if the estimates are implausible because they explain something else, like a crash. Noise of a loud unit
-    does the same to its axes: there they are free only where the evidence asks for it.
+    Unchanged if the estimates are implausible because they explain something else, such as a crash. Noise of a loud
+    unit also biases its axes: these are then free only if the evidence supports it.
     """
     free = _Estimated(smooth(imu, aiding, state, matrices=True), matrices=True, drifts=False)
     kept = _Estimated(state, matrices=False, drifts=False)
@@ -263,9 +262,9 @@ def _with_matrix_errors(imu: Increments, aiding: Aiding, state: TrajectoryState,
 
 
 def _calm(imu: Increments, state: TrajectoryState) -> tuple[Increments, bool]:
-    """Without the intervals that are contradicted, as in a crash; and whether the unit may be louder than assumed.
+    """Increments without contradicted intervals, as in a crash; and whether the unit may be noisier than assumed.
 
-    Then the worst tenth is left out as well: where a crash would be.
+    In that case the worst tenth is left out as well, since it may contain a crash.
     """
     between = state.interval_motion(imu)
     strain = _strain(state, imu, between)
@@ -277,7 +276,7 @@ def _calm(imu: Increments, state: TrajectoryState) -> tuple[Increments, bool]:
 
 
 def _with_noise(imu: Increments, calm: Increments, aiding: Aiding, state: TrajectoryState) -> TrajectoryState:
-    """`state`, or the trajectory with the noise of attitude and velocity, axis by axis, that has more evidence."""
+    """`state`, or the trajectory with larger noise of attitude or velocity on some axes, if that has more evidence."""
     best = start = state if calm is imu else smooth(calm, aiding, state)
     for _ in range(_WALKS):
         louder, evidence = best, log_evidence(calm, aiding, best)
@@ -298,10 +297,10 @@ def _with_noise(imu: Increments, calm: Increments, aiding: Aiding, state: Trajec
 def _with_bias_walk(
     imu: Increments, aiding: Aiding, state: TrajectoryState, *, matrices: bool, drifts: bool
 ) -> TrajectoryState:
-    """`state`, or a trajectory whose gyroscope bias wanders as much as the readings and the aiding say.
+    """`state`, or a trajectory whose gyroscope bias wanders as much as the data show.
 
     A bias that wanders more than the smoother assumes turns the attitude, and looks like errors of axes, scales and the
-    Earth's field. Intervals that are contradicted, as in a crash, do not count.
+    Earth's field. Contradicted intervals, as in a crash, do not count.
     """
     calm, _ = _calm(imu, state)
     best = state if calm is imu else smooth(calm, aiding, state, matrices=matrices, drifts=drifts)
@@ -327,7 +326,7 @@ def _span(channels: Sequence[Channel], velocity: Signal) -> tuple[float, float]:
 
 
 def _median_instance(mags: dict[int, Channel]) -> int:
-    """The instance with the least total distance to all others; of two, the first."""
+    """The instance with the smallest total distance to all others; of two, the first."""
 
     def apart(i: int) -> float:
         signal = Signal.of(mags[i])

@@ -1,11 +1,11 @@
 """Instances of one vehicle against each other: a reference that needs neither attitude nor field.
 
-A difference d of two instances does not tell which of them has an error. Their mean s does, without any reference: an
-error of one of them is half in s, so ``E[s d] = (var_1 - var_2) / 2``. This is the test of Pitman 1939 and Morgan 1939
-for two variances of a correlated pair; the vehicle's movement is in s and not in d. Let X be the power of d beyond that
+A difference d of two instances does not tell which of them has an error. Their mean s does, without any reference: half
+of one instance's error is in s, so ``E[s d] = (var_1 - var_2) / 2``. This is the test of Pitman 1939 and Morgan 1939
+for two variances of a correlated pair. The vehicle's movement is in s but not in d. Let X be the power of d above that
 in the simulator's recording, in the band of the largest excess. There the excess of ``2 s d / X`` is 1 if the first
-instance has the error, -1 if the second, and 0 if both have it alike. In the lowest band, with too few coefficients,
-the distance of both from the reference decides.
+instance has the error and -1 if the second has it. It is 0 if both have it equally. In the lowest band, with too few
+coefficients, the distance of both from the reference decides.
 """
 
 from __future__ import annotations
@@ -31,18 +31,17 @@ from mavcal.calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 _SMOOTH_S = 2.0
-"""Seconds over which a residual is averaged, for its slow part. Chosen, not measured: vibration and noise average
-out."""
+"""Averaging time, s, for the slow part of a residual. Chosen, not measured: vibration and noise average out."""
 _EDGE_S = 0.5
-"""Seconds from the ends of a trajectory, where the filters of the units reach beyond it. Chosen, not measured: filters
-of a vehicle settle within as long."""
+"""Time, s, left out at the ends of a trajectory, where the units' filters reach beyond it. Chosen, not measured:
+filters of a vehicle settle within as long."""
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
-    """Every instance of a sensor against the one nearest to its reference.
+    """Traces of every instance of a sensor against the one nearest to its reference.
 
-    That one is found from the `single` traces, else it is the one nearest to all others. Of two instances without a
-    single trace the first is compared with the second.
+    That one is found from the `single` traces; without them it is the one nearest to all others. Of two instances
+    without a single trace the first is compared with the second.
     """
     made: list[Trace] = []
     for sensor in TRIADS:
@@ -116,29 +115,28 @@ def _mean_distance(a: Channel, b: Channel) -> float:
 
 
 _SLOW = 8
-"""Bins of a recording up to which the reference is that of position and field, and of no inertial unit. Chosen, not
-measured: four periods of a recording."""
+"""Bins up to which the reference depends on position and field, and not on an inertial unit. Chosen, not measured: four
+periods of a recording."""
 _NEAR = 1.0 / 16.0
-"""Part of the power of a difference below which an instance is at the reference. Chosen, not measured: a quarter in
-amplitude."""
+"""Power of an instance's residual, relative to that of the difference, below which it agrees with the reference.
+Chosen, not measured: a quarter in amplitude."""
 _SIDE, _BEYOND = 0.5, 1.5
-"""Excess above which it is one instance that has it, and beyond which it goes with the movement: a scale error.
-Source: it is 1 or -1 where one instance has it and 0 where both have; the limits lie half-way."""
+"""Excess above which one instance alone has the error, and above which it follows the movement, as a scale error does.
+Source: 1 or -1 if one instance has it, 0 if both have; the limits lie half-way."""
 _SURE = 4.0
-"""Standard errors of the excess that it must be away from zero; half of them for both. Chosen, not measured: one in 16
-000 is as far by chance."""
+"""Standard errors by which the excess must differ from zero; half of them to conclude that both have it. Chosen, not
+measured: one in 16 000 is as far by chance."""
 _MORE = 4.0
-"""Standard errors by which a band must have more power than the simulator's. Chosen, not measured: one in 32 000 is as
-far above by chance, and many bands are asked."""
+"""Standard errors by which a band's power must exceed the simulator's. Chosen, not measured: one in 32 000 is as far
+above by chance, and many bands are tested."""
 _CONTROLLED_HZ = 20.0
-"""Frequency above which a vehicle does not answer to the noise of its own gyroscope: below, both units read the answer.
-Chosen, not measured: rate controllers of copters have a bandwidth of 5 to 15 Hz."""
+"""Frequency, Hz, above which the vehicle does not respond to its gyroscope's noise: below, both units measure the
+response. Chosen, not measured: rate controllers of copters have a bandwidth of 5 to 15 Hz."""
 _LOUDER = 1.0
-"""Power that an instance must have beyond the simulator's, in parts of that. Source: `prices.FLIGHT_NOISE_RATIO`, the
-same."""
+"""Least excess power of an instance, relative to the simulator's. Source: `prices.FLIGHT_NOISE_RATIO`, the same."""
 _TILTS = 3.0
-"""Standard deviations of the reference's tilt that may stand for what two accelerometers differ by across gravity.
-Source: decision 42 has the rule. Three is chosen, not measured: one in 370 is larger by chance, on one axis."""
+"""Standard deviations of the reference's tilt that may explain a horizontal difference of two accelerometers. Source:
+decision 42 has the rule. Three is chosen, not measured: one in 370 is larger by chance, on one axis."""
 
 
 def faulty_instances_of(
@@ -189,7 +187,7 @@ def _instance_off_reference(one: Trace, other: Trace) -> tuple[int, ...] | None:
 
 
 def _tilt_explains_difference(one: Trace, other: Trace, tilt_sd: float) -> bool:
-    """Whether a tilt of the reference may explain what two accelerometers differ by across gravity.
+    """Whether a tilt of the reference may explain the horizontal difference of two accelerometers.
 
     The attitude follows one of them. If that one is wrong, the other seems to be, with the opposite sign.
     """
@@ -262,7 +260,7 @@ def _instances_with_excess(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] |
 def _quieter_is_louder_too(band: _Band, before: _Band) -> bool:
     """Whether the quieter of two instances also has significantly more noise than the simulator's.
 
-    One may have nine tenths of the excess while the other is ten times as loud as it should be.
+    One may have nine tenths of the excess while the other is still ten times too loud.
     """
     excess = band.difference - before.difference
     side = 2.0 * (band.product - before.product) / excess

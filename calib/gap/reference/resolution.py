@@ -15,16 +15,17 @@ from mavcal.calib.recording import Channel, Sensor
 Array = NDArray[np.float64]
 
 _ON_LEVEL = 0.05
-"""Part of a step by which a level may lie beside the lattice. Chosen, not measured: calibrations and units round by
-less."""
+"""Largest distance of a level from the lattice, relative to the step. Chosen, not measured: calibrations and units
+round by less."""
 _FRACTION = 0.99
-"""Share of the gaps between values that must be whole steps. Chosen, not measured: one in a hundred may be damaged."""
+"""Fraction of the gaps between values that must be whole steps. Chosen, not measured: one in a hundred may be
+damaged."""
 _GAPS = 8
-"""Different gaps that show a lattice; fewer show it if levels occur often. Chosen, not measured: so many are whole
-steps by chance once in 1e8 (`_ON_LEVEL`)."""
+"""Number of different gaps that prove a lattice; fewer suffice if levels occur often. Chosen, not measured: so many are
+whole steps by chance once in 1e8 (`_ON_LEVEL`)."""
 _REPEATED = 3
-"""Samples a level, on average, that show a lattice of few gaps. Chosen, not measured: free numbers hardly repeat at
-all."""
+"""Mean number of samples per level that proves a lattice of few gaps. Chosen, not measured: continuous values hardly
+repeat."""
 EQUAL = 1e-9
 """Relative difference of equal numbers. Source: rounding of double precision, 1e-16, with a margin for sums."""
 

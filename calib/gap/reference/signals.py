@@ -20,8 +20,8 @@ from mavcal.calib.recording import Channel
 Array = NDArray[np.float64]
 
 HOLE = 3.5
-"""Median steps between two samples beyond which nothing is known between them. Chosen, not measured: two lost samples
-in a row are bridged."""
+"""Longest interpolated interval between two samples, in median steps. Chosen, not measured: two lost samples in a row
+are bridged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +94,15 @@ def slow_values(channels: Iterable[Channel], wanted: Array) -> Array | None:
 
 
 LONGEST_HOLE_S = 30.0
-"""A recording with a longer hole is two; its longest part is taken. Chosen, not measured: temperature and battery stay
-the same for as long."""
+"""Longest hole, s; a recording with a longer one is split, and its longest part used. Chosen, not measured: temperature
+and battery stay the same for as long."""
 _STEP = 1.8
-"""Times the median: longer differences are holes, not jitter. Chosen, not measured: one lost sample makes two."""
+"""Multiple of the median step above which a step is a hole, not jitter. Chosen, not measured: one lost sample makes
+two."""
 _SINGLE = 1.5
-"""Times their mean: of what is left, longer ones hold a lost sample that jitter has shortened. Chosen, not measured:
-midway between one step and two. The median is no measure here: whole milliseconds of 400 Hz are steps of 2 and 3."""
+"""Multiple of the mean of the remaining steps above which a step contains a lost sample, shortened by jitter. Chosen,
+not measured: midway between one step and two. The median is unsuitable here: whole milliseconds at 400 Hz are steps of
+2 and 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,13 +182,14 @@ def _uniform_steps(t: Array) -> tuple[float, float, NDArray[np.intp]]:
 
 
 _OPEN = 0.9
-"""Share of the Nyquist frequency beyond which a cut-off is none. Chosen, not measured: nearly all of the band
+"""Fraction of the Nyquist frequency above which no cut-off is applied. Chosen, not measured: nearly all of the band
 passes."""
 _LOWEST_HZ = 1.0
 """Lowest cut-off, Hz. Chosen, not measured: below, nothing of a movement passes."""
 _STEEP = 8
-"""Steepness of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %. A Gaussian
-(2) takes 16 % there, and every sensor would look louder than its reference. Source: the response `2^-(f / f_c)^n`."""
+"""Steepness of the filter's edge: it attenuates by 4 % half an octave below its cut-off, and by 0.3 % an octave below.
+A Gaussian (2) attenuates by 16 % there, and every sensor would look noisier than its reference. Source: the response
+`2^-(f / f_c)^n`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,9 +208,9 @@ class LowPassedSignal:
 
 
 def low_passed(signal: Signal, cutoff_hz: float | None = None) -> LowPassedSignal:
-    """Low-passed at `cutoff_hz`; None: as it is.
+    """`signal` low-passed at `cutoff_hz`; None: unchanged.
 
-    The filter has no phase, is flat up to its edge and at half amplitude at the cut-off.
+    The filter has zero phase, is flat up to its edge, and has half amplitude at the cut-off.
     """
     step = float(np.median(np.diff(signal.t)))
     t = signal.t[0] + step * np.arange(int(np.floor((signal.t[-1] - signal.t[0]) / step + 1e-6)) + 1)

@@ -1,10 +1,10 @@
 """A simulator's readings as a reference: their movement without noise, and their mean error.
 
-Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987): it attenuates every
-column and is in the difference with the other sign, so that a filter or a delay seems to explain it. The best estimate
-of the movement avoids that: what a Wiener filter removes is uncorrelated with what it passes (regression calibration;
-Carroll et al., Measurement Error in Nonlinear Models, 2006). At a frequency that the filter passes by ``g``, noise of
-power ``s^2`` leaves ``g s^2`` in the reference.
+Noise in the reference is an error in the regressors (Fuller, Measurement Error Models, 1987). It attenuates every
+column and enters the difference with the opposite sign, so that a filter or a delay seems to explain it. The best
+estimate of the movement avoids that. The part that a Wiener filter removes is uncorrelated with the part that it passes
+(regression calibration; Carroll et al., Measurement Error in Nonlinear Models, 2006). At a frequency that the filter
+passes by ``g``, noise of power ``s^2`` leaves ``g s^2`` in the reference.
 
 Mean errors of a simulated flight against its own ideal reading belong to the simulator.
 """
@@ -29,7 +29,7 @@ from mavcal.calib.recording import Channel, Sensor
 Array = NDArray[np.float64]
 
 _LOWEST = 1 / 8
-"""Share of the Nyquist frequency above which the noise is sought: below is where vehicles move. Chosen, not measured:
+"""Fraction of the Nyquist frequency above which the noise floor is sought; vehicles move below. Chosen, not measured:
 12 Hz at a rate of 200."""
 _BLOCKS = 16
 """Blocks of the coefficients above that, at most. Chosen, not measured: enough to tell a floor from a slope."""
@@ -38,8 +38,8 @@ _FEWEST = 128
 _FEWEST_BLOCKS = 3
 """Blocks that must agree on the noise floor. Chosen, not measured: two agree by chance."""
 _MOST = 0.5
-"""Share of all blocks that must agree: what falls with frequency is movement, or filtered noise. Chosen, not measured:
-the floor is what most of them have."""
+"""Fraction of all blocks that must agree: power that falls with frequency is movement, or filtered noise. Chosen, not
+measured: the floor is what most of them have."""
 _BY_CHANCE = 4.0
 """Standard deviations by which blocks of one floor may differ. Chosen, not measured: one in 16 000 differs by more."""
 _SURE = 3.0
@@ -50,11 +50,10 @@ _STEP = 1.08
 _NARROWEST = 8
 """Coefficients in a band. Chosen, not measured: its power is known to 50 % (sqrt(2/8))."""
 _LINES = (1, 3, 9, 27)
-"""Widths of what stands out of a band, coefficients: lines, and lines that drift. Chosen, not measured: a factor of
+"""Widths, in coefficients, of lines and drifting lines that stand out of a band. Chosen, not measured: a factor of
 three from one to the next."""
 _RARE = 0.1
-"""Lines that a recording of noise alone has on average, by width. Chosen, not measured: one in ten recordings has
-one."""
+"""Mean number of false lines in a recording of noise, by width. Chosen, not measured: one in ten recordings has one."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,13 +140,14 @@ def _edges(n: int) -> NDArray[np.intp]:
 
 
 _SURE_OF_MEAN = 5.0
-"""Standard errors above which a mean counts. Chosen, not measured: a level by chance would be a false offset."""
+"""Standard errors above which a mean is significant. Chosen, not measured: a level by chance would be a false
+offset."""
 
 
 def mean_deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:
     """Significant mean (3,) of the simulator's residuals by sensor and instance, else zero.
 
-    The firmware's calibration causes one: a simulated sensor without errors is off by what it corrects.
+    The firmware's calibration causes one: a simulated sensor without errors is wrong by the correction.
     """
     found: dict[tuple[Sensor, int], Array] = {}
     for trace in single:

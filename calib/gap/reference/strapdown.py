@@ -14,26 +14,26 @@ from mavcal.calib.geometry import quaternion_product
 Array = NDArray[np.float64]
 
 STEPS = 8
-"""Steps from node to node; within one the rate counts as constant. Chosen, not measured: 80 steps a second follow turns
-up to 20 Hz."""
+"""Steps between nodes, within which the rate is constant. Chosen, not measured: 80 steps a second follow turns up to 20
+Hz."""
 WARMTH_UNIT = 10.0
-"""Kelvin in which a unit's temperature is counted. Chosen, not measured: a usual warm-up, so that coefficients are as
-large as the drift itself."""
+"""Unit of temperature, K. Chosen, not measured: a usual warm-up, so that coefficients are as large as the drift
+itself."""
 _LEAST_WARMTH = 3.0
-"""Kelvin that a temperature has to cover to drive anything. Chosen, not measured: a smaller span drives less than its
-sensor's noise."""
+"""Least temperature span, K, for thermal drifts. Chosen, not measured: a smaller span causes less than the sensor's
+noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Increments:
     """Angle and velocity increments (K, STEPS, 3) of an inertial unit over the steps of K intervals of `dt` seconds.
 
-    `sampling` (2, 3) are standard deviations of angle and velocity over an interval by sampling alone, x y z: the
-    change of the sums when every second sample is omitted. It bounds aliasing of sampled turns and vibration. With slow
-    samples that error is correlated over several intervals; it is scaled as independent errors with the same sum.
+    `sampling` (2, 3) are standard deviations of angle and velocity over an interval from sampling alone, x y z. They
+    are the change of the sums when every second sample is omitted, and bound the aliasing of turns and vibration. With
+    slow samples that error is correlated over several intervals; it is scaled as independent errors with the same sum.
     `known` (K,) is False for intervals in a hole. `warmth` (K,) is the temperature above its mean in units of
-    :data:`WARMTH_UNIT`; 0 if unknown or nearly constant. `dense`: the gyroscope has a sample for every step, so that
-    they show how the vehicle turned within an interval.
+    :data:`WARMTH_UNIT`; 0 if unknown or nearly constant. `dense`: the gyroscope has a sample for every step, which
+    resolves turns within an interval.
     """
 
     t: Array

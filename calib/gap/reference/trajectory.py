@@ -1,11 +1,11 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
-The candidate effects are inside. Gyroscope and accelerometer have biases that may wander and follow the unit's
-temperature; the gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an offset,
-soft iron, a field per ampere and a delay: a compass that averages over its period is late by half of it. The GPS has a
-delay. Without the compass' delay, turns would bend the field. Gauss-Newton over all nodes at once (multiple shooting):
-the error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by
-what the unit measured between them, so the normal equations are banded, bordered by the constants.
+The smoother estimates the candidate effects too. Gyroscope and accelerometer have biases that may wander and follow the
+unit's temperature. The gyroscope has scale and axes, the accelerometer a rotation and scales. The magnetometer has an
+offset, soft iron, a field per ampere and a delay. A compass that averages over its period is late by half of it. The
+GPS has a delay. Without the compass' delay, turns would distort the field. Gauss-Newton over all nodes at once
+(multiple shooting). The error state of a node is attitude (in the body), velocity, gyroscope and accelerometer bias.
+The unit's measurements connect neighbours, so the normal equations are banded, bordered by the constants.
 """
 
 from __future__ import annotations
@@ -24,64 +24,63 @@ Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
 ATTITUDE, VELOCITY, GYRO_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Where they are in the state of a node. Source: the order of :data:`NODE`."""
+"""Indices in the state of a node. Source: the order of :data:`NODE`."""
 OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
 LATE_GPS, LATE_MAG = 9, 10
 SOFT_IRON, GYRO, ACCEL, ACCEL_SCALE = slice(11, 17), slice(17, 26), slice(26, 29), slice(29, 32)
-"""Where the constants are: of the magnetometer offset, field per ampere, Earth's field; delays; its symmetric matrix
-(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned, and
-its scales x y z less one.
+"""Indices of the constants: magnetometer offset, field per ampere, and the Earth's field; delays. Then the
+magnetometer's symmetric matrix (xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both minus the identity. Last the
+rotation of the accelerometer, and its scales x y z minus one.
 """
 GYRO_DRIFT, ACCEL_DRIFT = slice(32, 38), slice(38, 44)
-"""How biases follow the unit's temperature: with the warmth (in units of `strapdown.WARMTH_UNIT`) and with its square,
-x y z of each."""
+"""Indices of the thermal drifts: by the temperature (in units of `strapdown.WARMTH_UNIT`) and by its square, x y z of
+each."""
 CONSTANTS = 44
 ITERATIONS = 8
-"""Iterations at most. Chosen, not measured: it bounds the time; steps become small sooner."""
+"""Most iterations. Chosen, not measured: it bounds the time; steps become small sooner."""
 _HUBER = 3.0
 """Standard deviations beyond which a residual loses weight. Chosen, not measured: one in 370 normal residuals is
 larger."""
 LEAST_VELOCITY_SD = 0.1
-"""Standard deviation of a velocity at least, m/s: what the moment of a sample and the motion between nodes leave
-unmodelled. Chosen, not measured: 10 ms at 1 g."""
+"""Least standard deviation of a velocity, m/s, for unmodelled sample times and motion between nodes. Chosen, not
+measured: 10 ms at 1 g."""
 LEAST_MAG_SD = 0.5
-"""Standard deviation of a field at least, uT: what the firmware's filters and the motion between nodes leave
-unmodelled. Chosen, not measured: 1 % of a field of 50 uT."""
+"""Least standard deviation of a field, uT, for unmodelled firmware filters and motion between nodes. Chosen, not
+measured: 1 % of a field of 50 uT."""
 
 WALK = np.repeat([3e-4, 0.02, 1e-5, 3e-4], 3)
-"""Standard deviations a priori of the walks of a node's state, per root second: rad, m/s, rad/s and m/s2. Source:
-decision 9 for the gyroscope's bias. The others are chosen, not measured: below what usual inertial units show in
-flight."""
+"""Prior standard deviations of the walks of a node's state, per root second: rad, m/s, rad/s and m/s2. Source: decision
+9 for the gyroscope's bias. The others are chosen, not measured: below what usual inertial units show in flight."""
 BIAS: Array = np.repeat([0.05, 0.2], 3)
-"""Standard deviation of the gyroscope's bias, rad/s, and the accelerometer's, m/s2, a priori. Chosen, not measured: 3
+"""Prior standard deviation of the gyroscope's bias, rad/s, and of the accelerometer's, m/s2. Chosen, not measured: 3
 deg/s and 2 % of gravity, larger than calibrated units have."""
 TRUTH_SD = np.radians(0.05)
-"""Standard deviation of a simulator's attitude: that of the moment at which it was written. Chosen, not measured: 0.05
-degrees are 0.5 ms at 100 deg/s."""
+"""Standard deviation of a simulator's attitude, rad, due to the time at which it was written. Chosen, not measured:
+0.05 degrees are 0.5 ms at 100 deg/s."""
 _UNDETERMINED = 1.0
-"""Radians within which the first attitude stays where it is, if nothing determines it: a heading without a compass, at
-rest. Chosen, not measured: a radian leaves all of it open, and without it the equations have no solution.
+"""Prior standard deviation of the first attitude, rad, for an undetermined heading without a compass, at rest. Chosen,
+not measured: a radian leaves all of it open, and without it the equations have no solution.
 """
 _CAUTION = 3.0
-"""By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent. Chosen,
-not measured: errors of a receiver last for some ten samples, and three is the root of it."""
+"""Factor on the errors of the aiding in the accuracy of the attitude, since they are correlated. Chosen, not measured:
+errors of a receiver last for some ten samples, and three is the root of it."""
 _LOST = np.repeat([1.0, 10.0], 3)
-"""What attitude (rad) and velocity (m/s) may do over an interval without samples. Chosen, not measured: a radian and 10
-m/s leave all of it open."""
+"""Standard deviation of attitude (rad) and velocity (m/s) over an interval without samples. Chosen, not measured: a
+radian and 10 m/s leave all of it open."""
 _DRIFT = np.repeat([0.01, 0.003, 0.1, 0.03], 3)
-"""Standard deviation of drifts with the warmth and with its square, rad/s and m/s2, a priori. Chosen, not measured:
-some times what units that are not calibrated have."""
+"""Prior standard deviation of drifts with the temperature and with its square, rad/s and m/s2. Chosen, not measured:
+several times that of uncalibrated units."""
 CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(15, 0.03), _DRIFT])
-"""Standard deviations of what does not change, a priori; the Earth's field has that of its source. Source: decision 8
-for matrices and turns. The others are chosen, not measured: larger than calibrated vehicles have."""
+"""Prior standard deviations of the constants; the Earth's field has that of its source. Source: decision 8 for matrices
+and rotations. The others are chosen, not measured: larger than calibrated vehicles have."""
 _NOTHING, _IMPLAUSIBLE = 1e-6, 5.0
-"""Standard deviation of what may not differ, a priori, and standard deviations beyond which nobody believes that it
-does. Source: decision 8 for the second; the first guards an inverse."""
+"""Prior standard deviation of a fixed constant, and standard deviations beyond which an estimate is implausible.
+Source: decision 8 for the second; the first guards an inverse."""
 
 
 @dataclass(frozen=True, eq=False)
 class Aiding:
-    """What ties the trajectory to the world.
+    """Measurements relative to the Earth.
 
     Parameters
     ----------
@@ -92,11 +91,12 @@ class Aiding:
     earth : shape (3,)
         The field expected here, uT, north-east-down.
     earth_sd
-        How well it is known, uT.
+        Standard deviation of that field, uT.
     gain_sd
-        How far the magnetometer's mean gain may be from one: where the field is not known, it is one by definition.
+        Prior standard deviation of the magnetometer's mean gain about one; where the field is unknown, the gain is one
+        by definition.
     truth_t, truth : shape (J,), J rotations
-        Attitudes that are known, of a simulator; None: none.
+        Known attitudes from a simulator; None: none.
     """
 
     velocity_t: Array
@@ -115,9 +115,9 @@ class Aiding:
 class TrajectoryState:
     """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (44,), noise of the aiding.
 
-    `att_sd` (rad) and `constants_sd` (44,) say how well attitude and constants are known, infinite until
-    :func:`with_accuracy` is asked; `walk` (12,) are the standard deviations of what a node's state does by itself, per
-    root second.
+    `att_sd` (rad) and `constants_sd` (44,) are standard deviations of attitude and constants, infinite until computed
+    by :func:`with_accuracy`. `walk` (12,) are the standard deviations of the random walks of a node's state, per root
+    second.
     """
 
     t: Array
@@ -310,8 +310,8 @@ def _add_inertial(normal: BorderedEquations, imu: Increments, between: IntervalM
 def _by_unit_constants(imu: Increments, between: IntervalMotion, here: Rotation, there: Rotation) -> Array:
     """How the constants of the inertial unit, from `GYRO` on, change the next node's state, (K, 12, 27).
 
-    The gyroscope's matrix acts on how far the vehicle turned, not on the reading of it: the noise in that would bend
-    the matrix (errors in variables, Deming 1943).
+    The gyroscope's matrix acts on the estimated rotation, not on the reading, whose noise would bias the matrix (errors
+    in variables, Deming 1943).
     """
     matrix, turned = here.as_matrix(), (here.inv() * there).as_rotvec()
     b = np.zeros((len(matrix), NODE, CONSTANTS))

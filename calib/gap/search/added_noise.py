@@ -1,7 +1,7 @@
 """Checks of added noise, lines and tones before they count as effects of a sensor.
 
-Noise must exceed what two flights differ by, and be on the instances that show it. Beside a line it must be more than
-that line's unsteadiness. A tone must not be in a nominal recording as well.
+Noise must exceed the usual difference between two flights, and be on the instances that show it. Beside a line it must
+exceed that line's unsteadiness. A tone must not be in a nominal recording as well.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _series_of(hypothesis: Hypothesis, model: Model) -> list[int]:
 
 
 def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
-    """Whether added noise is more than the noise of two flights of one vehicle differs by.
+    """Whether added noise exceeds the usual difference in noise between two flights of one vehicle.
 
     A spectrum learned from another recording is a mean over its rest and its flight, in unknown proportion. Beside
     declared noise any addition counts.
@@ -57,14 +57,14 @@ def exceeds_flight_differences(added: AddedNoise, model: Model) -> bool:
 
 
 def is_line_unsteadiness(term: NoiseTerm, model: Model) -> bool:
-    """Whether broadband noise of a model is no more than the unsteadiness of a line beside it."""
+    """Whether broadband noise of a model may be the unsteadiness of a line beside it."""
     if Trait.LINE in term.hypothesis.effect.traits:
         return False
     return _term_power(term, term.hypothesis, model) <= prices.LINE_UNSTEADINESS * line_power(term.hypothesis, model)
 
 
 def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
-    """Whether drift noise is more than the unsteadiness of the model's lines, whose skirts reach the lowest bins."""
+    """Whether drift noise exceeds the unsteadiness of the model's lines, whose skirts reach the lowest bins."""
     if not added.hypothesis.effect.drifts:
         return True
     power = sum(float(added.power(model, v).sum()) for v in _series_of(added.hypothesis, model))
@@ -72,7 +72,7 @@ def drift_exceeds_lines(added: AddedNoise, model: Model) -> bool:
 
 
 def tone_exceeds_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
-    """Whether a tone with amplitudes `beta` is more than the unsteadiness of the model's lines."""
+    """Whether a tone with amplitudes `beta` exceeds the unsteadiness of the model's lines."""
     if not hypothesis.effect.tonal:
         return True
     samples = sum(
@@ -139,7 +139,7 @@ def _excess_by_instance(added: AddedNoise, model: Model) -> Mapping[int, float]:
 def _search_band(added: AddedNoise, model: Model, v: int) -> Array:
     """Bins in which added noise is searched for, (3, n).
 
-    A line is searched for around its frequency, because units have clocks of their own.
+    A line is sought around its frequency, because each unit has its own clock.
     """
     power = added.power(model, v)
     if Trait.LINE not in added.hypothesis.effect.traits:
@@ -177,9 +177,9 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
 
 
 def nominal_has_tone(term: Term, nominal: Iterable[Trace]) -> bool:
-    """Whether a nominal recording has a line at the frequency of a tone: the mains, a converter's clock.
+    """Whether a nominal recording has a line at the frequency of a tone, such as the mains or a converter's clock.
 
-    A learned spectrum holds band means and does not show it.
+    A learned spectrum consists of band means and does not show it.
     """
     if not term.effect.tonal:
         return False

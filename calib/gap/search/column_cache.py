@@ -11,14 +11,14 @@ from mavcal.calib.gap.model.joint import Setting
 _Key = tuple[str, tuple[int, ...], float]
 
 _PASSING = 0.25
-"""Part of the budget for shapes that were picked for a residual: beside the next one they are others. Chosen, not
-measured: most of the budget stays for what is asked again."""
+"""Fraction of the budget for shapes picked for one residual, which change with the next one. Chosen, not measured: most
+of the budget is for columns that are requested again."""
 
 
 class ColumnCache:
     """Transformed columns of hypotheses on one setting, up to `budget` numbers.
 
-    Columns on a fixed grid stay, since every step of a selection needs them. Of the others the latest stay.
+    Columns on a fixed grid are kept, since every step of a selection needs them. Of the others the latest are kept.
     """
 
     def __init__(self, budget: int) -> None:

@@ -51,8 +51,8 @@ Array = NDArray[np.float64]
 _STEPS = 10
 """Evaluations in the search for a shape. Chosen, not measured: it bounds the time; the final fit goes on from there."""
 _STEPS_FIXED = 25
-"""Evaluations in the search for a shape where all rests on it. Chosen, not measured: golden sections of so many reach
-1e-5 of the interval."""
+"""Evaluations in the search for a shape that is the only parameter. Chosen, not measured: golden sections of so many
+reach 1e-5 of the interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class ContestScore:
     delta: float
     beta: Array
     sure: bool = True
-    """Whether the shape is the best one, and not only the best on a grid."""
+    """Whether the shape is the optimum, not only the best on a grid."""
 
     @property
     def price(self) -> float:
@@ -86,7 +86,7 @@ def tail_probability(gain: float, df: int, grid: int) -> float:
 
 
 def one_sided_tail_probability(gain: float, df: int, grid: int) -> float:
-    """The same for `df` amplitudes that cannot be negative: each is zero half of the time (chi-bar squared)."""
+    """The same probability for `df` non-negative amplitudes: each is zero half of the time (chi-bar squared)."""
     if gain <= 0.0:
         return 1.0
     weights = binom.pmf(np.arange(1, df + 1), df, 0.5)
@@ -366,9 +366,9 @@ def envelope_gain(model: Model, axis: int, envelope: Array, density: Array) -> f
 
 
 def most_sensitive_series(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
-    """The trace and the index of the series in which a hypothesis shows most; of equal ones the one with most residual.
+    """The trace and the index of the series in which a hypothesis shows most; among equals, the one with most residual.
 
-    The effect may have occurred in one block only. The lower band of a series stands for both.
+    The effect may have occurred in one block only. The lower band of a series represents both.
     """
     found = [
         (abs(weight), v, i)

@@ -1,13 +1,13 @@
 """Evidence of an effect: the marginal likelihood of its amplitudes under a prior of their own size.
 
-A penalty of ``log N`` for each amplitude would not depend on whether the movement excites it, and would be larger for a
-long recording than for a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is the size that
-explains the data best (empirical Bayes; Clyde & George 2000). An amplitude that is observed well costs about the
-logarithm of its own evidence, an unobserved one nothing.
+A penalty of ``log N`` per amplitude would not depend on whether the movement excites it, and would grow with the length
+of the recording. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is the size that explains the data
+best (empirical Bayes; Clyde & George 2000). A well-observed amplitude costs about the logarithm of its own evidence, an
+unobserved one nothing.
 
-Amplitudes may differ in size, so two other priors are tried, each at the price of the choice. In one all amplitudes
-change the readings alike (Zellner 1986), as those of a polynomial do, whose terms cancel each other. In the other a
-single amplitude is not zero, as for a fault on one axis.
+Amplitudes may differ in size, so two other priors are tried, each at the price of the choice. In one, all amplitudes
+change the readings equally (Zellner 1986), as do those of a polynomial, whose terms cancel. In the other, only one
+amplitude is not zero, as for a fault on one axis.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mavcal.calib.gap.search import prices
 Array = NDArray[np.float64]
 
 _SEEN = 1e-9
-"""Part of the largest information below which a direction is seen by rounding only. Source: rounding of an information
+"""Information relative to the largest, below which a direction is only rounding. Source: rounding of an information
 matrix, 1e-16, with a margin."""
 
 
@@ -121,7 +121,7 @@ def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
 
 
 def price_of_fixed(gain: float) -> float:
-    """Price of the shape of an effect that has no other parameter, to either side."""
+    """Price of the shape of an effect without other parameters, searched to either side."""
     return math.log1p(max(gain, 0.0)) + 2.0 * math.log(2.0)
 
 
@@ -138,8 +138,8 @@ def price_of_search(grid: int, gain: float) -> float:
 def price_of_noise(amplitudes: Array, information: Array) -> float:
     """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
 
-    `information` is that of each beside all others. Either the axes of a sensor are alike, and an axis without the
-    noise costs; or the noise is on one axis, and the gain on the others is lost.
+    `information` is that of each beside all others. Either the axes of a sensor are equal, and an axis without the
+    noise is penalised. Or the noise is on one axis, and the gain on the others is lost.
     """
     square = np.maximum(amplitudes, 0.0) ** 2
     if not len(square):

@@ -1,8 +1,8 @@
 """Exchanges of one effect of a model for a better one.
 
-Forward selection takes the best single effect first, even if it stands for two of them, or noise for a change of the
-mean. Each effect is therefore compared with every other hypothesis, beside the remaining effects. `kappa` is the part
-of its fitted energy that a rival can imitate; ``gain (1 - kappa)`` separates them.
+Forward selection takes the best single effect first, even if it stands for two others, or if noise stands for a change
+of the mean. Each effect is therefore compared with every other hypothesis, beside the remaining effects. `kappa` is the
+part of its fitted energy that a rival can imitate; ``gain (1 - kappa)`` separates them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mavcal.calib.recording import Sensor
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another hypothesis in place of an effect; `kappa` is 0 if it is too far behind to be listed."""
+    """Another hypothesis in place of an effect; `kappa` is 0 if it is too unlikely to be listed."""
 
     score: ContestScore
     kappa: float
@@ -69,8 +69,8 @@ def stable_model(chosen: ChosenModel, contest: Contest, alpha: float, before: St
     chosen, contest, alpha
         A model, what competes for the places in it, and the chance of an effect where there is none.
     before
-        The result of another contest. For the same model only hypotheses that were not in it are compared; with no time
-        left, what was found there is taken for a model with fewer effects too.
+        The result of another contest. For the same model only new hypotheses are compared. With no time left, its
+        comparisons are also used for a model with fewer effects.
     """
     level = alpha / max(chosen.tests, 1)
     members = {term.hypothesis.key for term in chosen.model.members}
@@ -140,9 +140,9 @@ def _with_exchange(chosen: ChosenModel, old: Key, new: ContestScore) -> ChosenMo
 def without_drift_noise(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) -> ChosenModel:
     """The model, or a better one that was selected without drift noise and stabilised by exchanges.
 
-    Forward selection may stop at two wrong effects, which drift noise then beats, while the two right ones would not be
-    beaten. A magnet that is put on and taken off makes two jumps, neither significant alone: events are also tried
-    first.
+    Forward selection may stop at two wrong effects, which drift noise then beats, although it would not beat the two
+    right ones. A magnet put on and taken off makes two jumps, neither significant alone: events are therefore also
+    tried first.
     """
     drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.drifts}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
@@ -180,8 +180,8 @@ def _gainful_exchanges(
 ) -> list[tuple[float, Key, ContestScore]]:
     """Exchanges that gain, best first, and by how much the objective may rise after each.
 
-    Beside noise learned from flights a hundredth of an effect is of second order: by that much the effect with fewer
-    parameters is preferred.
+    Beside noise learned from flights, a hundredth of an effect is of second order: the effect with fewer parameters is
+    preferred by that much.
     """
     found = []
     for key, comparison in comparisons.items():
@@ -199,9 +199,9 @@ def second_order_evidence(chosen: ChosenModel, own: float) -> float:
 
 
 Flexibility = tuple[bool, bool, int]
-"""Whether an effect is noise that wanders, whether it is a shape without a name, and its degrees of freedom, its shape
-among them. In this order: such noise takes the place of anything slow, and of a thousand shapes one is near anything.
-Both are freer than any number of amplitudes: a scale about one axis is near the product of its rate and gravity.
+"""Sort key: whether an effect is wandering noise, whether it is a nameless shape, and its degrees of freedom including
+the shape. Wandering noise can imitate anything slow, and one of a thousand shapes is near anything. Both are more
+flexible than any number of amplitudes: a scale about one axis is near the product of its rate and gravity.
 """
 
 
@@ -217,7 +217,7 @@ def _flexibility(score: ContestScore) -> Flexibility:
 
 
 def evidence_deficit(own: float, score: ContestScore, freedom: Flexibility | None, second: float) -> float:
-    """Evidence by which a rival is behind an effect; the more flexible one is discounted by a `second` order."""
+    """Evidence by which a rival is worse than an effect; the more flexible one is discounted by a `second` order."""
     if freedom is None or _flexibility(score) == freedom:
         return own - score.delta
     return own - score.delta + (second if _flexibility(score) > freedom else -prices.SECOND_ORDER_LOSS * second)
@@ -283,9 +283,9 @@ def _comparison(
 
 
 def _with_noise_fitted(score: ContestScore, bare: Model) -> ContestScore:
-    """`score` of an effect on the mean with the noise that it leaves: noise had to contain the effect before.
+    """`score` of an effect on the mean with refitted noise, since the noise contained the effect before.
 
-    An offset of 0.4 m/s2 in noise of 0.02 gained a third of the random walk that took its place.
+    An offset of 0.4 m/s2 in noise of 0.02 m/s2 gained only a third of what the random walk in its place had gained.
     """
     sensor = score.hypothesis.effect.sensor
     before, after = (noise_fitted(m, [sensor]).deviance for m in (bare, with_score(bare, score)))
@@ -310,7 +310,7 @@ def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, besi
 
 
 def _is_known_rival(rival: Hypothesis, own: Hypothesis) -> bool:
-    """Whether it is the same effect elsewhere or in another form, or a listed rival."""
+    """Whether a rival is the same effect on another unit or in another form, or is listed in the catalogue."""
     return rival.effect.id == own.effect.id or rival.effect.id in own.effect.rivals
 
 

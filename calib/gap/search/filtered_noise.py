@@ -1,7 +1,8 @@
 """Evidence for a filter in the noise: a sensor's filter shapes its noise as it shapes the movement (GAP 3.1).
 
-In the narrow band of vehicle movement a filter is a delay; above it the noise tells them apart. Quantisation comes
-after the filter and is not shaped. Only the form of the spectrum counts, not its level: a quieter sensor is no filter.
+In the narrow band of vehicle movement a filter looks like a delay; the noise above it distinguishes them. Quantisation
+comes after the filter and is not shaped. Only the shape of the spectrum counts, not its level: a quieter sensor is not
+a filter.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST = 1e-6
-"""Part of the noise that any filter leaves: digits. Chosen, not measured: 60 dB below it."""
+"""Noise that passes any filter, relative to the unfiltered noise: rounding. Chosen, not measured: 60 dB below it."""
 _TINY = 1e-300
-"""In place of no power at all. Source: it guards a logarithm; the least normal double is 2e-308."""
+"""Replaces zero power. Source: it guards a logarithm; the least normal double is 2e-308."""
 
 
 def evidence_of_filters(model: Model, sensor: Sensor) -> float:
     """Twice the log-likelihood that the filters of a model gain in the noise of a sensor.
 
-    The model's noise does not have that form, so an effect on the noise could gain as much by imitating it.
+    The model's noise is not filtered, so an effect on the noise could gain as much by imitating it.
     """
     own = [t for t in model.terms if t.effect.sensor is sensor]
     return sum(max(filter_evidence(t.hypothesis, t.theta, model), 0.0) for t in own)

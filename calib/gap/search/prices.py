@@ -1,7 +1,7 @@
 """The table of prices: priors, penalties and thresholds of the search, with meaning, unit and source.
 
-A deviance is twice a log-likelihood. Modules use a price as ``prices.NAME``, so a bench can change it in one place.
-Numbers that guard rounding or bound an iteration stay beside their code.
+A deviance is twice a log-likelihood. Modules use a price as ``prices.NAME``, so a benchmark can change it in one place.
+Constants that guard rounding or bound an iteration are beside their code.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Unit: values. Source: an effect that vanishes at zero is searched to either side
 # Prices of kinds of effects
 
 DRIFT_PRICE = 16.0
-"""Price of noise that drifts: it fits any slow change, so a named cause that fits nearly as well is believed first.
+"""Price of drift noise: it fits any slow change, so a named cause that fits nearly as well is preferred.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
@@ -48,18 +48,18 @@ SHAPE_PRICES = {
     "periodic": 20.0,
     "time": 32.0,
 }
-"""Price of a shape by its family: the fewer things it could stand for, the less. A periodic shape pays for its
-frequency too.
+"""Price of a shape by its family: less for shapes with fewer possible causes. A periodic shape also pays for its
+frequency.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 SHAPE_PART_PRICE = 3.5
-"""Added for a part of a shape: the one of many that fits best.
+"""Added price of a part of a shape, which is the best of many.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 THERMAL_PRICE = 3.0
-"""Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler.
+"""Price of a thermal effect: an effect at every recorded temperature, or one that began at some time, is simpler.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
@@ -69,7 +69,7 @@ REPEATED_JUMP_PRICE = 10.0
 Unit: deviance a jump. Source: decision 11 (T6, development seeds 90600-90639).
 """
 REFERENCE_PRICE = 8.0
-"""Price of blaming the reference for what a sensor may have done.
+"""Price of an error of the reference instead of a sensor.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
@@ -81,19 +81,18 @@ Unit: deviance an effect. Source: decision 11; value chosen in development, seed
 # Thresholds of the selection
 
 SECOND_ORDER_SHARE = 0.005
-"""Share below which an effect is a second order of the large ones.
+"""Share below which an effect counts as a second-order term of the large ones.
 
 Unit: share of the largest gain. Source: GAP, pitfalls.
 """
 FLIGHT_SECOND_ORDER_SHARE = 0.01
-"""The same where the noise was learned from flights: small true structure is everywhere in them.
+"""The same where the noise was learned from flights, which always contain small true structure.
 
 Unit: share of the largest gain. Source: chosen in development, seeds not recorded.
 """
 ENTRY_SHARE = 0.3
-"""Share below which an effect does not join in the first place.
-
-Unit: share of that least gain. Source: chosen in development, seeds not recorded.
+"""Share below which an effect does not enter the model. Unit: share of that least gain. Source: chosen in development,
+seeds not recorded.
 """
 OTHER_SENSOR_SHARE = 3e-5
 """Share below which an effect on another sensor counts as an error of the reference.
@@ -101,12 +100,12 @@ OTHER_SENSOR_SHARE = 3e-5
 Unit: share of the largest gain of all. Source: chosen in development, seeds not recorded.
 """
 HIDING_GAIN = 0.1
-"""Gain above which the noise that was fitted before hides what tells effects apart.
+"""Gain above which previously fitted noise hides the differences between effects.
 
 Unit: deviance a number. Source: chosen in development, seeds not recorded.
 """
 SLOW_POWER_RATIO = 4.0
-"""Power of the lowest bin over the highest, above which noise may have taken a slow effect for its own.
+"""Power of the lowest bin over the highest, above which noise may have absorbed a slow effect.
 
 Unit: ratio of powers. Source: chosen in development, seeds not recorded.
 """
@@ -121,22 +120,22 @@ RIVALS_TRIED = 6
 Unit: candidates. Source: chosen in development, seeds not recorded.
 """
 CANDIDATES_FITTED = 3
-"""Candidates, the best on their grids, that are fitted at their best shapes before one of them joins.
+"""Candidates, the best on their grids, that are fitted at their best shapes before one of them enters.
 
 Unit: candidates. Source: chosen in development, seeds not recorded.
 """
 MOST_IN_A_ROW = 8
-"""Most effects that join in a row, not counting events.
+"""Most consecutive effects that enter, not counting events.
 
 Unit: effects. Source: chosen in development, seeds not recorded.
 """
 MOST_EVENTS = 3
-"""Most events that may join after them.
+"""Most events that may enter after them.
 
 Unit: events. Source: chosen in development, seeds not recorded.
 """
 FLIGHT_DIFFERENCE = 0.03
-"""Evidence below which two flights differ anyway: a re-estimated reference is not more certain than that.
+"""Evidence by which any two flights differ: a re-estimated reference is not more certain than that.
 
 Unit: deviance a number. Source: chosen in development, seeds not recorded.
 """
@@ -148,17 +147,17 @@ REFINEMENT_GAIN = 8.0
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 EXACT_FIT_GAIN = 300.0
-"""Gain above which an effect that is not linear in its amplitudes is fitted as it is.
+"""Gain above which an effect that is nonlinear in its amplitudes is fitted without linearisation.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 ENVELOPE_GAIN = 6.0
-"""Gain on an axis above which the noise is asked whether it follows its envelope.
+"""Gain on an axis above which the noise is tested against its envelope.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
 INDEPENDENT_ENERGY = 1e-6
-"""Least energy that a column keeps beside the model's other columns; with less it does not count.
+"""Least energy of a column orthogonal to the model's other columns; with less it is ignored.
 
 Unit: share of a column's energy. Source: chosen in development, seeds not recorded.
 """
@@ -170,17 +169,17 @@ FLIGHT_NOISE_RATIO = 1.0
 Unit: ratio of powers. Source: chosen in development, seeds not recorded.
 """
 LINE_UNSTEADINESS = 0.05
-"""Share below which noise and other lines beside a line are its own unsteadiness.
+"""Share below which noise and other lines near a line count as its own unsteadiness.
 
 Unit: share of a line's power. Source: chosen in development, seeds not recorded.
 """
 LINE_REACH_HZ = 2.0
-"""Distance from a line's frequency within which its power is looked at.
+"""Distance from a line's frequency within which its power is measured.
 
 Unit: Hz. Source: chosen in development, seeds not recorded.
 """
 INSTANCE_SHARE = 0.2
-"""Share of an instance's excess that another one must show to be part of the effect.
+"""Least excess of another instance for it to be part of the effect.
 
 Unit: share of the largest excess. Source: chosen in development, seeds not recorded.
 """
@@ -190,7 +189,7 @@ FILTER_BAND_SHARE = 0.25
 Unit: share of the Nyquist frequency. Source: chosen in development, seeds not recorded.
 """
 SAMPLE_DIFFERENCE = 0.25
-"""Difference up to which the samples of two recordings of one sensor agree.
+"""Difference up to which the samples of two recordings of one sensor are equal.
 
 Unit: relative difference. Source: chosen in development, seeds not recorded.
 """
@@ -212,7 +211,7 @@ Unit: frequencies. Source: chosen in development, seeds not recorded.
 # Exchanges of effects
 
 RIVAL_REACH = 40.0
-"""Penalised evidence behind an effect beyond which no rival is refined or listed; wandering noise adds its own price.
+"""Deficit in penalised evidence beyond which a rival is neither refined nor listed; wandering noise adds its own price.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """
@@ -227,17 +226,17 @@ WORTH_A_FIT = 0.05
 Unit: share of the gain of the added noise. Source: chosen, not measured: an effect of a fifth of the noise's amplitude.
 """
 EXCHANGES_TRIED = 2
-"""The best exchanges that are tried before all are given up.
+"""Number of best exchanges tried before giving up.
 
 Unit: exchanges. Source: chosen in development, seeds not recorded.
 """
 SECOND_ORDER_LOSS = 0.1
-"""Second order that an effect of fewer numbers may lose to take another's place: a model is never exact.
+"""Second-order loss that is accepted for an effect with fewer parameters: a model is never exact.
 
 Unit: share of the second order. Source: chosen in development, seeds not recorded.
 """
 EVENT_GAIN_SHARE = 0.1
-"""Share by which events that were tried first must be better: a jump at an end is an offset.
+"""Improvement required of a model with events first: a jump at an end is an offset.
 
 Unit: share of the largest gain. Source: chosen in development, seeds not recorded.
 """
@@ -254,7 +253,7 @@ WANDER_TIMES_S = (2.0, 6.0, 20.0, 60.0)
 Unit: s. Source: chosen in development, seeds not recorded.
 """
 WANDER_SLACK = 10.0
-"""Penalised evidence that other effects may add once they are chosen beside a wandering attitude.
+"""Allowance for the evidence that other effects may add once chosen beside a wandering attitude.
 
 Unit: deviance. Source: chosen in development, seeds not recorded.
 """

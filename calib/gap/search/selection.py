@@ -73,7 +73,7 @@ def select(start: Model, contest: Contest, alpha: float, earlier: ChosenModel | 
     """The model with the effects that the data show, by forward-backward selection.
 
     Drift noise can replace any slow effects on the mean, even two at once. It is therefore excluded at first, then
-    admitted beside the selected effects, and only then tested in their place.
+    allowed beside the selected effects, and only then tested in their place.
 
     Parameters
     ----------
@@ -118,8 +118,7 @@ def _undeclared_noise_is_slow(model: Model) -> bool:
 def _with_white_noise(model: Model) -> Model:
     """The model with white noise on every axis whose noise is not declared.
 
-    An offset is in one bin of the transform and a slow effect in a few. Noise that is fitted before they are explained
-    absorbs them.
+    An offset is in one bin of the transform and a slow effect in a few. Noise that is fitted earlier absorbs them.
     """
     start = starting_noise(model.setting)
     views = model.setting.views
@@ -216,7 +215,7 @@ def extended(
     step = 0
     while step < prices.MOST_IN_A_ROW + prices.MOST_EVENTS:
         full = step >= prices.MOST_IN_A_ROW
-        # An event that waits for errors of other sensors to enter would spoil the noise of its own meanwhile.
+        # Until errors of other sensors enter, a postponed event would distort the noise of its own sensor.
         still = {key: s for key, s in scores.items() if s.hypothesis.effect.jumps} if full else scores
         best, trial = _best_candidate(still, level, gains, contest, model)
         if best is None and later and not contest.pace.ends():
@@ -271,7 +270,7 @@ def _candidate_scores(
 def _best_candidate(
     scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
 ) -> tuple[ContestScore | None, Model | None]:
-    """The best significant score, refined and no second order of other effects, and its fitted model, if any.
+    """The best significant score that is refined and not of second order, and its fitted model, if any.
 
     Drift noise and undeclared noise may have absorbed a slow mean, so the gain of a mean beside them is not compared
     with the second order.
@@ -318,8 +317,8 @@ def _best_after_refit(
 ) -> tuple[ContestScore | None, Model | None]:
     """The best score; if noise hides effects of its sensor, the best of several after the noise was fitted with each.
 
-    A large gap is part of the noise as long as nothing explains it: beside a bias of a hundred standard deviations a
-    misalignment gains next to nothing, and the bias no more than there are samples. None if none gains enough then.
+    An unexplained large gap is part of the noise. Beside a bias of a hundred standard deviations a misalignment gains
+    next to nothing, and the bias itself no more than the number of samples. None if none then gains enough.
     """
     best = ranked[0]
     own = [s for s in ranked if s.hypothesis.effect.sensor is best.hypothesis.effect.sensor]
@@ -347,9 +346,9 @@ def _best_after_refit(
 
 
 def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
-    """Gain below which an effect is a second order of the largest one on its sensor, or of a far larger one elsewhere.
+    """Gain below which an effect is of second order to the largest one on its sensor, or to a far larger one elsewhere.
 
-    Vibration at some frequency has no second order that follows temperature or rotation: only a mean has one of a mean.
+    Vibration has no second-order terms that follow temperature or rotation: only a mean can be one of a mean.
     """
     near = [
         gains[term.hypothesis.key][0]
@@ -362,9 +361,9 @@ def _second_order_limit(hypothesis: Hypothesis, model: Model, gains: Gains) -> f
 
 
 def _may_be_second_order(one: Hypothesis, other: Hypothesis) -> bool:
-    """Whether an effect could be a second order of another.
+    """Whether an effect could be of second order to another.
 
-    A mean is none of stationary noise, and what some units have is none of what more units have alike.
+    A mean is not one of stationary noise, nor is an effect on some units one of an effect common to more units.
     """
     effect, large = one.effect, other.effect
     if not (effect.sensor is large.sensor or effect.shared or large.shared):
@@ -376,7 +375,7 @@ def _may_be_second_order(one: Hypothesis, other: Hypothesis) -> bool:
 
 
 def has_learned_spectrum(model: Model) -> bool:
-    """Whether a noise spectrum was learned from other recordings, in which small true structure is everywhere."""
+    """Whether a noise spectrum was learned from other recordings, which always contain small true structure."""
     return any(view.density is not None for view in model.setting.views)
 
 

@@ -1,4 +1,4 @@
-"""A model with an effect more or less, fitted again, and what each of its effects gains beside the others."""
+"""A model with one effect more or less, fitted again, and the gain of each effect beside the others."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def with_score(model: Model, score: ContestScore) -> Model:
 
 
 def with_member(model: Model, term: Term | NoiseTerm) -> Model:
-    """The model with one term more, not fitted again."""
+    """The model with one more term, not fitted again."""
     if isinstance(term, NoiseTerm):
         return with_term(model, term)
     return with_residual(replace(model, terms=(*model.terms, term)))

@@ -1,4 +1,4 @@
-"""Minimum gains of effects, where two recordings differ anyway."""
+"""Minimum gains of effects, above the usual difference of two recordings."""
 
 from __future__ import annotations
 
@@ -51,5 +51,5 @@ class GainThresholds:
 
 
 def accepted_difference(problem: GapProblem, each: float) -> dict[Sensor, float]:
-    """By sensor, the gain by which two recordings differ anyway, with `each` for every sample of an axis."""
+    """By sensor, the gain by which any two recordings differ, with `each` for every sample of an axis."""
     return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}

@@ -1,7 +1,7 @@
 """The reference's attitude error as a slow process that accelerometer and magnetometer share (GAP 3.5).
 
-A Gauss-Markov prior makes it cheap: only its rms and its correlation time are chosen, by the marginal likelihood. Its
-cosines cost the distance from the prior, not an amplitude each.
+With a Gauss-Markov prior only its rms and its correlation time are chosen, by the marginal likelihood. Its cosines cost
+the distance from the prior, not one amplitude each.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _MODES = 100
-"""Cosines over the recording that an error of attitude about one axis is made of. Chosen, not measured: correlation
-times of some percent of a recording need as many."""
+"""Cosines over the recording that represent the attitude error about one axis. Chosen, not measured: correlation times
+of some percent of a recording need as many."""
 _SCREENED = 4000
 """Samples of a series in the search for size and time. Chosen, not measured: it bounds the time of a search that is
 refined afterwards."""
@@ -144,7 +144,7 @@ class _ProcessFit:
 
 @dataclass(frozen=True, eq=False)
 class _Process:
-    """What all models with one noise share: columns, weights by axis, and the priors.
+    """Common data of all models with one noise: columns, weights by axis, and the priors.
 
     `priors`: rms, correlation time, roots (p,) of the prior variances, and :func:`inverse_root` with them.
     """

@@ -1,1 +1,1 @@
-"""What a report says of a model: parameters, probabilities, places, series and inputs."""
+"""From a model to a report: parameters, probabilities, places, series and inputs."""

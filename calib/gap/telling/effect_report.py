@@ -21,14 +21,14 @@ from mavcal.calib.gap.worth.attribution import TEMPERATURE, Attribution
 from mavcal.calib.recording import Sensor
 
 _SHARPNESS = 0.7
-"""Power of the probability among rivals: it differs too much between them. Source: a fit, seeds 90001-90570."""
+"""Exponent that flattens the probability among rivals. Source: a fit, seeds 90001-90570."""
 _LEVEL, _SLOPE = 3.3, 1.2
-"""Log-odds that a name of gain 200 is right, and their increase for each power of ten. Source: a fit, seeds
+"""Log-odds that an effect of gain 200 is right, and their increase per power of ten. Source: a fit, seeds
 90001-90570."""
 _BESIDE_UNKNOWN = 2.1
-"""By which they are less where something unknown is there too. Source: a fit, seeds 90001-90570."""
+"""Decrease of the log-odds if something unknown is present too. Source: a fit, seeds 90001-90570."""
 _MIDDLE, _LEAST, _MOST = 2.3, 1.3, 3.3
-"""Powers of ten of the gain: the middle of those cases, and where they end. Source: a fit, seeds 90001-90570."""
+"""Powers of ten of the gain: the middle and the limits of the fitted cases. Source: a fit, seeds 90001-90570."""
 
 
 def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
@@ -48,12 +48,12 @@ def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, b
 
 
 def calibrated_probability(among_rivals: float, gain: float, *, beside_unknown: bool) -> float:
-    """Chance that an effect is there, calibrated on cases whose effects are known.
+    """Probability that an effect is present, calibrated on cases with known effects.
 
-    The softmax over rivals knows only listed rivals. A small gain is often a second order of something large or
-    unnamed. The constants were fitted to 446 names of cases that were no longer sealed: one to three effects, seeds
-    90001 to 90570, without and with unknown errors. Each kind has the weight of a full run of the check (1000, 400, 400
-    and 200 cases), in which 83 % are right.
+    The softmax includes only listed rivals. A small gain is often a second-order term of something large or unnamed.
+    The constants were fitted to 446 named effects of unsealed cases: one to three effects, seeds 90001 to 90570,
+    without and with unknown errors. Each kind has the weight of a full run of the check (1000, 400, 400 and 200 cases),
+    in which 83 % are right.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def calibrated_probability(among_rivals: float, gain: float, *, beside_unknown: 
 def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> EffectEstimate:
     """A delay, moved to the unit that has it, of two `units`, which count from 1.
 
-    A re-estimated trajectory follows one unit and is as late. The other then seems to be early, which no sensor can be.
+    A re-estimated trajectory follows one unit and has its delay. The other then seems to be early, which no sensor can
+    be.
     """
     if Trait.LATE not in by_id()[effect.id].traits or len(units) != 2 or len(effect.instances) != 1:
         return effect
@@ -92,7 +93,7 @@ def delay_on_late_unit(effect: EffectEstimate, units: Collection[int]) -> Effect
 
 
 def with_other_unit_as_rival(effect: EffectEstimate, units: Collection[int], sure: float) -> EffectEstimate:
-    """`effect` with the other of two `units`, which count from 1, as a rival; `sure`: chance that this one has it."""
+    """`effect` with the other of two `units` (from 1) as a rival; `sure` is the probability that this unit has it."""
     other = next(unit for unit in sorted(units) if unit not in effect.instances)
     fix = f"turning through all headings and tilts (instance {other} may have it instead, with the opposite sign)"
     evidence = replace(effect.evidence, probability=sure * effect.evidence.probability)

@@ -27,12 +27,12 @@ _Z = 1.959964
 """Standard errors from an estimate to either end of its 95 % interval. Source: quantile 0.975 of the normal
 distribution."""
 _FREE = 1e-4
-"""Part of a parameter in directions that the data do not show, above which its error is not finite. Source: numerical;
-far above rounding, and too small to matter."""
+"""Component of a parameter in undetermined directions above which its error is infinite. Source: numerical; far above
+rounding, and too small to matter."""
 
 
 _SIGNIFICANT = 3.0
-"""Standard errors of a step beyond which it does not fit the levels beside it. Chosen, not measured: one step in 370 is
+"""Standard errors beyond which a step contradicts the levels beside it. Chosen, not measured: one step in 370 is
 further off by chance."""
 
 
@@ -91,8 +91,8 @@ def _of_noise(term: NoiseTerm, found: NoiseEstimate, chosen: ChosenModel) -> tup
 def _with_fixed_temperatures(chosen: ChosenModel) -> tuple[Array, Array]:
     """Covariance and Gram matrix of all amplitudes, with undetermined reference temperatures fixed.
 
-    Beside a free offset the temperature at which a drift vanishes is arbitrary: any is possible with the matching
-    offset. The fitted one is kept without an error.
+    Beside a free offset the temperature at which a drift vanishes is arbitrary, since the offset compensates it. The
+    fitted one is kept without an error.
     """
     joint = chosen.joint
     hidden = _undetermined(joint.normal.gram)
@@ -125,16 +125,16 @@ def _undetermined(gram: Array) -> NDArray[np.bool_]:
 _TWO_SD = 4.0
 """Twice the log-likelihood that is lost two standard errors from the best value. Source: chi-square of one degree."""
 _FIRST = 2.0**-8
-"""Part of a frequency by which the first one beside it differs. Chosen, not measured: a third of a hertz at 87 Hz."""
+"""First relative step from a frequency. Chosen, not measured: a third of a hertz at 87 Hz."""
 _FURTHEST = 1.0
-"""Part of a frequency up to which one beside it is tried. Chosen, not measured: an octave up, and down to nothing."""
+"""Largest relative distance tried from a frequency. Chosen, not measured: an octave up, and down to nothing."""
 
 
 def frequency_sd(model: Model, term: NoiseTerm) -> float:
     """Standard error of the shape of a noise term; infinite if no value within an octave is excluded.
 
-    Infinite as well for a line at an end of the frequencies that were tried: power that rises to half of the sampling
-    rate is no line there. Amplitudes are fitted again at every frequency.
+    Also infinite for a line at either end of the tried frequencies: power that rises up to the Nyquist frequency is not
+    a line. Amplitudes are fitted again at every frequency.
     """
     if _at_an_end(model, term):
         return math.inf

@@ -1,8 +1,8 @@
 """Effects that these data cannot tell from something else, and how the report names them.
 
 A parameter without a finite error may have any value. An effect within the error of a re-estimated attitude may be that
-error: it stays in the model, so that no other effect takes its place, and is not reported as a gap. Two effects that
-differ by less than that error are both named: two tilted accelerometers read like two with an offset across gravity.
+error. It stays in the model, so that no other effect absorbs it, but is not reported. Two effects that differ by less
+than that error are both named: two tilted accelerometers read like two with a horizontal offset.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def unbounded_causes(chosen: ChosenModel, reported: Collection[Key]) -> Iterator
 
 
 _ERRORS = 2.0
-"""Standard errors that one amplitude of an effect must exceed. Source: decision 32."""
+"""Least size of one amplitude of an effect, in standard errors. Source: decision 32."""
 
 
 def inseparable(chosen: ChosenModel, reference: ReferenceInfo) -> frozenset[Key]:
@@ -92,8 +92,8 @@ _WITHIN = 4.0
 """Standard deviations of the reference within which two effects are the same, on every axis. Source: the wrong one of
 two so far apart is nearer in 2 of 100 (normal distribution)."""
 _LEAST = 1e-3
-"""Part of the largest reading across an axis below which none is believed to be known. Chosen, not measured: an
-attitude is off in more than one way."""
+"""Least error of a reading, relative to the largest reading perpendicular to an axis. Chosen, not measured: an attitude
+has errors of several kinds."""
 _SAMPLES = 2000
 """Samples of a series that are compared. Chosen, not measured: it bounds the time, and both change slowly."""
 
@@ -122,7 +122,7 @@ def with_equal_effects(effect: EffectEstimate, model: Model, term: Term | NoiseT
 
 
 def _series_with_error(model: Model, term: Term) -> View | None:
-    """The series with the reference's error, if the effect is on all units of its sensor; else these decide."""
+    """The series with the reference's error, if the effect is on all units of its sensor; otherwise None."""
     views = (view for view in model.setting.views if view.sensor is term.effect.sensor)
     if {unit for view in views for unit in view.weights} != set(term.hypothesis.instances):
         return None

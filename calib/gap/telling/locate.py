@@ -1,8 +1,8 @@
 """Location of the gap: every channel in every regime, in nats and in its unit.
 
 A regime is one bin of one covariate: time, temperature, current, throttle, rate, specific force, attitude, frequency.
-Samples are whitened by the declared noise; in a cell without a gap their squares add up to chi-squared and their sum is
-normal. Both are tested, with Holm's correction for all cells and channels.
+Samples are whitened by the declared noise. In a cell without a gap the sum of their squares is chi-squared, and their
+sum is normal. Both are tested, with Holm's correction for all cells and channels.
 """
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ from mavcal.calib.gap.schema import FIRST, LocatedGap, Regime
 Array = NDArray[np.float64]
 
 _BINS = 6
-"""Bins of equal width, over time or what else was recorded. Chosen, not measured: a table that a person reads."""
+"""Bins of equal width over time or another covariate. Chosen, not measured: a table that a person reads."""
 _BANDS = 8
 """Bands of frequency. Chosen, not measured: a table that a person reads."""
 _FEWEST = 24
-"""Samples in a bin that is tested. Chosen, not measured: a variance of as many is known to 29 % (sqrt(2/24))."""
+"""Least number of samples in a tested bin. Chosen, not measured: a variance of as many is known to 29 %
+(sqrt(2/24))."""
 
 
 @dataclass(frozen=True, eq=False)

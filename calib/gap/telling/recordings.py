@@ -1,4 +1,4 @@
-"""What a report says of the recordings themselves: inputs, series before and after the effects, overstated noise."""
+"""Parts of a report about the recordings: inputs, series before and after the effects, overstated noise."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def diagnoser_sha256() -> str:
 def series_of(model: Model, tolerated: Collection[Key] = ()) -> tuple[SeriesFit, ...]:
     """Every series of a model at its own rate, with both bands as one.
 
-    Effects of the keys `tolerated` are in what is modelled and have no part of their own.
+    Effects of the keys `tolerated` are part of the model, but are not listed separately.
     """
     return tuple(_series_fit(model, v, tolerated) for v, band in enumerate(model.setting.views) if not band.first)
 
@@ -99,10 +99,11 @@ def _at_own_rate(term: Term, band: View) -> Array:
 
 
 _MOST_POWER_RATIO = 0.75
-"""Ratio of powers above which it is said: below, a drone's own seldom repeats from flight to flight. Chosen, not
+"""Ratio of powers below which a notice is given: a drone's noise varies by less from flight to flight. Chosen, not
 measured: 14 % less in amplitude (sqrt(0.75))."""
 _SURE = 6.0
-"""Standard errors. Chosen, not measured: noise in flights is not normal, so six instead of three."""
+"""Standard errors of a significant difference. Chosen, not measured: noise in flights is not normal, so six instead of
+three."""
 
 
 def overstated_noise(model: Model) -> Iterator[str]:

@@ -1,9 +1,8 @@
 """Tests whether whitened residuals are white noise: bursts of noise, and waves of any form.
 
 A bet is an e-value: a likelihood averaged over alternatives, divided by the largest likelihood of a model without them.
-If that model is true its mean is at most one, and it exceeds ``1 / a`` with a chance of at most `a`, whatever was
-averaged over (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). No simulation is needed, and the mean of bets is a
-bet.
+If that model is true, its mean is at most one. It then exceeds ``1 / a`` with a probability of at most `a`, for any
+average (Ville 1939; Wasserman, Ramdas & Balakrishnan 2020). No simulation is needed, and the mean of bets is a bet.
 """
 
 from __future__ import annotations
@@ -22,48 +21,48 @@ from mavcal.calib.gap.unknown.misattributed_noise import Unexplained, has_modula
 
 Array = NDArray[np.float64]
 
-BURSTS, WAVES = "noise that is louder at times", "a wave that is no sine, of"
-"""What is said of the bets that win."""
+BURSTS, WAVES = "noise that is louder at times", "a non-sinusoidal wave of"
+"""Descriptions of winning bets."""
 _CHANCE = 2e-3
-"""Chance of all bets together where nothing but white noise is left. Source: decision 37 has limits follow from it. The
+"""False-alarm probability of all bets together on white noise. Source: decision 37 derives the limits from it. The
 value is chosen, not measured: a fifth of the 1 % of false alarms that GAP 6 allows."""
 _AXES = ((0, 1, 2), (0,), (1,), (2,))
-"""That a bet is made on: all together, and each alone."""
+"""Sets of axes for one bet: all together, and each alone."""
 _RAISED = np.array([0.3, 0.8, 2.0, 6.0])
-"""Parts by which the variance is larger during a burst. Chosen, not measured: a factor of 2.5 to 3 from one to the
+"""Relative increases of the variance during a burst. Chosen, not measured: a factor of 2.5 to 3 from one to the
 next."""
 _LASTS = np.array([8.0, 30.0, 120.0, 500.0, 2000.0])
-"""Samples that a burst lasts in the mean. Chosen, not measured: a factor of four from one to the next, from a shock to
+"""Mean durations of a burst, samples. Chosen, not measured: a factor of four from one to the next, from a shock to
 seconds."""
 _DUTY = np.array([0.02, 0.1, 0.3])
-"""Parts of the time for which it is louder. Chosen, not measured: a factor of 3 to 5 from one to the next."""
+"""Fractions of the time in bursts. Chosen, not measured: a factor of 3 to 5 from one to the next."""
 _BLOCKS = 7000
-"""Averages that a series has at most where bursts are looked for. Chosen, not measured: it bounds the time."""
+"""Most averages of a series in the search for bursts. Chosen, not measured: it bounds the time."""
 _SINGLE = 4
-"""Samples of such an average up to which loud samples are looked for one by one, too. Chosen, not measured: an average
-of more hides them."""
+"""Samples per average up to which single loud samples are sought too. Chosen, not measured: an average of more hides
+them."""
 _LONGEST = 20_000
-"""Averages that a series has at most where waves are looked for: faster ones of a long recording are lines. Chosen, not
-measured: it bounds the time."""
+"""Most averages of a series in the search for waves: faster ones of a long recording are lines. Chosen, not measured:
+it bounds the time."""
 _ROUNDS = 40
 """Rounds of a fit of two variances. Chosen, not measured: it bounds the time."""
 _STARTS = ((0.02, 4.0), (0.2, 1.5))
-"""Parts of the samples and variances of the louder ones that it begins with, in turn. Chosen, not measured: few loud
-samples and many not so loud ones; a fit from one of them finds either."""
+"""Initial fractions and variances of the louder samples, one pair per fit. Chosen, not measured: few loud samples, and
+many moderate ones; one of the fits finds either."""
 _PERIODS = 4
-"""Periods of a wave that the recording must have. Chosen, not measured: drift makes fewer."""
+"""Least number of periods of a wave in the recording. Chosen, not measured: drift has fewer."""
 _PAD = 8
-"""Times the length to which a series is filled up: an overtone is k times nearer to its bin than to the next. Chosen,
-not measured: an eighth of a bin is near enough for most overtones."""
+"""Zero-padding factor: it brings overtone k nearer to its bin than to the next. Chosen, not measured: an eighth of a
+bin is near enough for most overtones."""
 _OVERTONES = (1, 2, 4, 8, 16)
-"""Waves in a comb. Chosen, not measured: powers of two; what lies between wins with the next larger one."""
+"""Numbers of waves in a comb. Chosen, not measured: powers of two; numbers in between win with the next larger one."""
 _SIZES = np.geomspace(1.0, 200.0, 8)
-"""Variances of a wave's amplitude, in those of the noise. Chosen, not measured: a factor of two from one to the
+"""Prior variances of a wave's amplitude, relative to the noise. Chosen, not measured: a factor of two from one to the
 next."""
 
 
 def bets_of(model: Model) -> tuple[Unexplained, ...]:
-    """Every bet on the residual of a model, for each series with declared white noise; nats are logs of bets."""
+    """Every bet on the residual of a model, for each series with declared white noise; nats are log bets."""
     return tuple(bet for v in range(len(model.setting.views)) for bet in _bets(model, v))
 
 
@@ -167,7 +166,7 @@ def _mixture_likelihood(energy: Array, freedom: int) -> float:
 def wave_bet(white: Array) -> tuple[float, float]:
     """Log of the bet that white series (p, n) contain a periodic wave, and the number of its likeliest periods.
 
-    At each frequency a wave and its overtones are tried, with a common prior of their own size. Periodograms are summed
+    At each frequency a wave and its overtones are tried, with a common prior on their size. Periodograms are summed
     over overtones as by de Jager, Raubenheimer & Swanepoel 1989.
     """
     width = -(-white.shape[1] // _LONGEST)

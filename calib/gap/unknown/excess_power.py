@@ -1,6 +1,6 @@
-"""Power in the residual above the noise: in bands, in lines, or for a while.
+"""Power in the residual above the noise: in bands, in lines, or for a limited time.
 
-A complete model leaves stationary white noise. Nothing is assumed about the form of an excess.
+A complete model leaves stationary white noise. Nothing is assumed about the shape of an excess.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEFTOVER = 1e-7
-"""Chance, over all that is looked at, below which noise alone has no such power. Source: GAP 3.3."""
+"""P-value, over everything tested, below which power is more than noise. Source: GAP 3.3."""
 _MINUTES_DIFFER = 2.0
-"""Times a learned spectrum, up to which power may be that of other minutes. Chosen, not measured: noise doubles from
-minute to minute (`baselines._NOISE_DIFFERENCE`)."""
+"""Multiple of a learned spectrum up to which power may be variation between minutes. Chosen, not measured: noise
+doubles from minute to minute (`baselines._NOISE_DIFFERENCE`)."""
 _JOLT_S, _JOLTS = 0.5, 0.03
-"""Length of a jolt, s, and part of a recording that is jolts. Chosen, not measured: a filter of 20 Hz has settled by
+"""Length of a jolt, s, and fraction of a recording in jolts. Chosen, not measured: a filter of 20 Hz has settled by
 then; two or three touchdowns of a flight of a minute."""
 _GROUPS = 24
 """Bands of a series, of a constant ratio of frequencies. Chosen, not measured: some seven to a decade of frequency."""
 _AROUND = 50
-"""Bins about a line that are its surroundings. Chosen, not measured: their mean power is known to 20 % (sqrt(2/50))."""
+"""Number of bins around a line that form its background. Chosen, not measured: their mean power is known to 20 %
+(sqrt(2/50))."""
 _WINDOWS = (64, 256, 1024)
 """Lengths of short spectra, in samples. Chosen, not measured: a factor of four from one to the next, a third of a
 second to some seconds at 200 Hz."""
@@ -42,16 +43,15 @@ _LENGTHS = (32, 64, 128, 256, 512, 1024)
 """Lengths of windows in which slow deviations are sought, in samples; they begin every half a length. Chosen, not
 measured: an octave from one to the next, so that any length is within a factor of 1.5."""
 _SLOW = 8
-"""Bins of such a window that are compared with its others. Chosen, not measured: four periods in a window; faster ones
-are lines."""
+"""Lowest bins of such a window that are compared with the others. Chosen, not measured: four periods in a window;
+faster ones are lines."""
 _SLOWEST = 4
-"""Bins from the lowest on that are not looked at: a mean is fitted there. Chosen, not measured: two periods of a
-recording."""
+"""Lowest bins that are ignored, since a mean is fitted there. Chosen, not measured: two periods of a recording."""
 
 
 @dataclass(frozen=True)
 class _Excess:
-    """Power above the noise: `nats`, and the chance `p` of it, corrected within its kind."""
+    """Power above the noise: `nats`, and its p-value `p`, corrected within its kind."""
 
     sensor: Sensor
     p: float
@@ -69,7 +69,7 @@ def excess_power(
     """By sensor, nats of significant power above the noise, and a description.
 
     Above `bandwidth_hz` an accelerometer measures movement that the reference does not contain. Excess below the
-    sensor's `floor` is an error of the reference. `outside`: the reference is no sensor of the vehicle (cameras), so
+    sensor's `floor` is an error of the reference. `outside`: the reference is not a sensor of the vehicle (cameras), so
     that jolts belong to the sensor.
     """
     by_sensor: dict[Sensor, list[_Excess]] = {}
@@ -85,7 +85,7 @@ def excess_power(
 
 
 def _tested_excesses(model: Model, v: int, bandwidth_hz: float, *, outside: bool) -> list[_Excess]:
-    """Significant excesses of a series: in bands of one axis, else of all axes, else lines, else for a while."""
+    """Significant excesses of a series: in bands of one axis, else of all axes, else in lines, else transient ones."""
     # The error of the reference is known only up to the last of its cosines.
     turned = model.ridge.columns.parts if model.ridge is not None else {}
     axes = [c for c in range(3) if 3 * v + c not in turned]
@@ -149,7 +149,7 @@ def _band(view: View, white: Array, band: tuple[int, int], axis: str = "", *, ou
 def _power_between_jolts(view: View, white: Array, band: tuple[int, int]) -> float:
     """Sum of squares in a band without the hardest jolts, scaled to the whole recording.
 
-    A touchdown is a few samples, and no two are alike. Units that sample at different moments read it differently.
+    A touchdown lasts a few samples, and no two are equal. Units that sample at different times read it differently.
     """
     moved = np.add.reduce([view.traces[i].measured[view.keep] for i in view.weights])
     change = np.append((np.diff(moved, axis=0) ** 2).sum(axis=1), 0.0)
@@ -161,7 +161,7 @@ def _power_between_jolts(view: View, white: Array, band: tuple[int, int]) -> flo
 
 
 def _nats(square: float, count: int) -> float:
-    """Gain of an own variance for `count` squares over unit variance."""
+    """Gain, nats, of a fitted variance for `count` squares over unit variance."""
     return 0.5 * (square - count - count * math.log(square / count)) if square > count > 0 else 0.0
 
 
@@ -178,11 +178,11 @@ def _line(view: View, ratio: Array) -> _Excess:
 
 
 def _transient_waves(view: View, white: Array) -> Iterator[_Excess]:
-    """Waves that last for some windows: short spectra of whitened spectra (p, count) that are less even than noise.
+    """Transient waves: short-time spectra of whitened spectra (p, count) that are less even than those of noise.
 
-    Each cell of frequency and time has a chance. For noise, minus its logarithm is exponential, and the sum of squares
+    Each cell of frequency and time has a p-value. For noise, minus its logarithm is exponential, and the sum of squares
     of n such numbers has the mean 2 n and the variance 20 n. A window is normalised by its own power: louder noise is
-    no wave. Spectra learned from flights are averages over such waves and are not tested.
+    not a wave. Spectra learned from flights are averages over such waves and are not tested.
     """
     if view.density is not None or view.variance is None or view.first or is_coarsely_quantised(view):
         return
@@ -203,9 +203,9 @@ def _transient_waves(view: View, white: Array) -> Iterator[_Excess]:
 
 
 def _slow_deviations(view: View, white: Array) -> Iterator[_Excess]:
-    """Slow deviations for a moment: windows of whitened spectra (p, count) with most power in their first bins.
+    """Transient slow deviations: windows of whitened spectra (p, count) with most power in their first bins.
 
-    A window is compared with its own noise, as in :func:`_transient_waves`: louder noise is no deviation.
+    A window is compared with its own noise, as in :func:`_transient_waves`: louder noise is not a deviation.
     """
     if view.density is not None or view.first or is_coarsely_quantised(view):
         return

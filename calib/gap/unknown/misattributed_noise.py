@@ -1,8 +1,8 @@
 """Noise effects of a model that are not the noise of a sensor.
 
-Drift whose axes move together has one driver. Drift that returns to its mean (Gauss-Markov) is neither a random walk
+Drift that is common to the axes has one driver. Drift that returns to its mean (Gauss-Markov) is neither a random walk
 nor flicker. Noise that comes and goes is not the stationary noise that is declared. Noise in a few windows only is an
-event: somebody handles the vehicle.
+event, such as a person handling the vehicle.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _DRIVEN = 1e-3
-"""Chance of independent axes' correlation below which something drives them together. Source: GAP 3.3 has the test. The
-chance is chosen, not measured: one series in a thousand."""
+"""P-value of the axes' correlation below which they have a common driver. Source: GAP 3.3 has the test. The value is
+chosen, not measured: one series in a thousand."""
 _LEAST = 6
-"""Bins in which a drift is most of the noise, or windows of energy, below which nothing is said. Chosen, not measured:
-a correlation of three axes from fewer means nothing."""
+"""Least number of bins dominated by a drift, or of energy windows, for a test. Chosen, not measured: a correlation of
+three axes from fewer means nothing."""
 _RETURNS, _RETURNS_EACH = 8.0, 14.0
-"""Twice the log-likelihood by which noise that comes back must beat a walk: with one corner, with one for each axis.
+"""Least gain, in twice the log-likelihood, of mean-reverting noise over a walk: with one corner, with one per axis.
 Chosen, not measured: one number more, or three, gain as much with a chance of 0.005 and 0.003."""
 _POLES = np.geomspace(3e-5, 0.3, 20)
-"""Corners that are tried, rad per sample. Chosen, not measured: a factor of 1.6 from one to the next."""
+"""Corner frequencies that are tried, rad per sample. Chosen, not measured: a factor of 1.6 from one to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +128,15 @@ def returns_to_mean(model: Model, v: int, term: NoiseTerm) -> bool:
 
 
 _AXIS_GROUPS = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
-"""Axes that may swell together, and their name: one supply feeds all three."""
+"""Axes whose noise may swell together, and their name: one supply feeds all three."""
 _WINDOWS = (4, 8, 16, 32, 64, 128)
 """Samples over which energies are summed, in turn. Chosen, not measured: an octave from one to the next."""
 _CLIPPED_QUANTILE = 0.99
-"""Part of the samples whose energy counts as it is. Chosen, not measured: a few large samples are heavy tails and do
-not swell."""
+"""Quantile of the energy above which samples are clipped. Chosen, not measured: a few large samples are heavy tails,
+not swelling."""
 _NONSTATIONARY = 1e-6
-"""Chance, over all that is looked at, below which steady noise does not scatter so. Chosen, not measured: white noise
-of real sensors is never exactly normal."""
+"""P-value, over everything tested, below which noise is not stationary. Chosen, not measured: white noise of real
+sensors is never exactly normal."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Unexplained:
 
 
 def nonstationary_noise(model: Model) -> list[Unexplained]:
-    """By sensor, nats by which noise of varying power fits better than stationary noise, if not by chance.
+    """By sensor, nats by which noise of varying power fits better than stationary noise, if significant.
 
     Only with declared white noise and without modulated noise in the model: a spectrum learned from flights is an
     average over their own variation.
@@ -225,18 +225,17 @@ def _excess_scatter(white: Array, width: int, tests: int) -> float:
 _WINDOW_S = 1.0
 """Seconds of a window. Source: decision 34 counts seconds."""
 _FEWEST = 20
-"""Windows of a recording, below which nothing is said of their differences. Chosen, not measured: a quarter of them is
-then five."""
+"""Least number of windows in a recording to compare them. Chosen, not measured: a quarter of them is then five."""
 _BURST_SHARE = 0.25
-"""Part of the windows that a burst takes at most; noise of a sensor is in all of them. Source: decision 34."""
+"""Largest fraction of the windows in bursts; noise of a sensor is in all of them. Source: decision 34."""
 _LOUD_RATIO = 0.5
-"""Part of the mean excess above which a window has the noise. Chosen, not measured: half of the mean is beyond the
-scatter of a window without it."""
+"""Excess of a window, relative to the mean, above which it contains the noise. Chosen, not measured: half of the mean
+is beyond the scatter of a window without it."""
 _BURST_PAUSE_S = 3.0
-"""Seconds between loud windows up to which they are one burst. Chosen, not measured: a person who handles a vehicle
-pauses for as long."""
+"""Longest pause, s, between loud windows of one burst. Chosen, not measured: a person who handles a vehicle pauses for
+as long."""
 _LISTED = 3
-"""Bursts whose times are said. Chosen, not measured: a sentence that a person reads."""
+"""Most bursts whose times are listed. Chosen, not measured: a sentence that a person reads."""
 
 
 def bursts(model: Model) -> Iterator[tuple[Key, str]]:

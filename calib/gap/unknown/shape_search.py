@@ -1,7 +1,7 @@
-"""Unnamed shapes as competitors of the catalogue, which pay for their freedom.
+"""Unnamed shapes as competitors of the catalogue, which pay for their flexibility.
 
 The catalogue is tried first, alone. Shapes (:mod:`calib.gap.unknown.shapes`) are then compared with it in three places:
-beside its model, in place of all effects on a sensor, and in place of each effect. The best of them join the contest.
+beside its model, instead of all effects on a sensor, and instead of each effect. The best of them enter the contest.
 (The report of unnamed causes: :mod:`calib.gap.unknown.verdict`.)
 """
 
@@ -30,9 +30,9 @@ Array = NDArray[np.float64]
 _LEAST_IMPROVEMENT = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone. Source: decision 5."""
 _SHORTLIST = 6
-"""Shapes in each place that stand in the contest. Chosen, not measured: it bounds the time."""
+"""Shapes of each place that enter the contest. Chosen, not measured: it bounds the time."""
 _CONTAINED_SHARE = 0.8
-"""Part of a shape's evidence above which a simpler effect is what it goes about. Source: decision 5."""
+"""Fraction of a shape's evidence above which a simpler effect explains it. Source: decision 5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +53,12 @@ class _ShapePlace:
 
     @property
     def better(self) -> float:
-        """Penalised evidence of the shape less that of the replaced effects."""
+        """Penalised evidence of the shape minus that of the replaced effects."""
         return self.score.delta - self.own
 
     @property
     def elaborate(self) -> bool:
-        """Whether it explains hardly more than the replaced effects, with more parameters."""
+        """Whether it has more parameters than the replaced effects but explains hardly more."""
         more = is_broken_line(self.score.hypothesis) or self.score.df > self.df
         return more and self.own > _CONTAINED_SHARE * self.score.delta
 

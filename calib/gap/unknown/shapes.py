@@ -1,6 +1,6 @@
 """Unnamed shapes: lines over covariates, products, readings of other sensors, low orders of a reading.
 
-They compete with the catalogue and pay for their freedom. A shape with many amplitudes is also offered in parts, by
+They compete with the catalogue and pay for their flexibility. A shape with many amplitudes is also tried in parts, by
 axis and by signal: one significant amplitude would be lost among eighteen.
 """
 
@@ -29,43 +29,43 @@ _KNOTS = 6
 _KNOTS_TIME = 20
 """Knots of a broken line over time. Chosen, not measured: 3 s apart in a minute."""
 _OUTER_SHARE = 0.01
-"""Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere. Chosen,
-not measured: the knots then leave out the rarest hundredth at either end."""
+"""Fraction of the samples beyond the last knots: an amplitude from a few of them would explode elsewhere. Chosen, not
+measured: the knots then exclude the rarest hundredth at either end."""
 _KNOT_DISTANCE = 1e-3
-"""Distance of two knots, in parts of all knots' range, below which they are one. Source: numerical; closer knots make
-columns that are hardly independent."""
+"""Distance of two knots, relative to the range of all, below which they are merged. Source: numerical; closer knots
+make columns that are hardly independent."""
 _APPROACHES_S = (3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0)
-"""Time constants of an approach that begins with the recording. Chosen, not measured: a factor of 1.5 from one to the
-next, from electronics to a die."""
+"""Time constants, s, of an exponential approach that begins with the recording. Chosen, not measured: a factor of 1.5
+from one to the next, from electronics to a die."""
 _SLOW_SLOPE = 0.1
-"""Share of the rms slope: slower changes have no direction. Chosen, not measured: noise decides their sign."""
+"""Fraction of the rms slope below which a change has no direction. Chosen, not measured: noise decides its sign."""
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
-"""Dead travels, in parts of the reading's range. Chosen, not measured: a factor of three from one to the next."""
+"""Backlash widths relative to the reading's range. Chosen, not measured: a factor of three from one to the next."""
 _POINTS = 20_000
-"""Samples of a series that are examined for dead travel; a series of twice as many is thinned. Chosen, not measured: it
-bounds the time."""
+"""Samples of a series examined for backlash; a series of twice as many is thinned. Chosen, not measured: it bounds the
+time."""
 _HARMONICS = (2, 3, 4, 5)
 """Overtones, in multiples of the frequency of a wave. Chosen, not measured: higher ones of a wave that a catalogue
 misses are weak."""
 _HIGHEST = 0.4
-"""Share of the rate: beyond, two bands of one series meet. Chosen, not measured: four fifths of the Nyquist
-frequency."""
+"""Highest frequency relative to the rate; beyond, two bands of one series meet. Chosen, not measured: four fifths of
+the Nyquist frequency."""
 _DUTY_CYCLES = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
 """Parts of a period for which something may be switched on. Chosen, not measured: steps of a twentieth lose at most a
 twentieth of a wave."""
 _OFFSET = 0.2
-"""Standard deviation of a signal, in parts of its size, below which it is nothing but an offset. Chosen, not measured:
-an offset then takes 96 % of its power."""
+"""Standard deviation of a signal, relative to its size, below which it is just an offset. Chosen, not measured: an
+offset then takes 96 % of its power."""
 _MATRICES = {
     (Sensor.ACCEL, "a"): {"accel_scale", "accel_misalignment"},
     (Sensor.GYRO, "w"): {"gyro_scale", "gyro_misalignment"},
     (Sensor.GYRO, "a"): {"gyro_g_sensitivity"},
     (Sensor.MAG, "m"): {"mag_soft_iron", "mag_rotation"},
 }
-"""Effects that are every linear map of a vector to a sensor: one entry of it is theirs as well."""
+"""Effects that together are any linear map of a vector to a sensor, and so include each of its entries."""
 _OFFSETS = {Sensor.ACCEL: "accel_bias", Sensor.GYRO: "gyro_bias", Sensor.MAG: "mag_hard_iron"}
 _SCALES = {Sensor.ACCEL: "accel_scale", Sensor.GYRO: "gyro_scale", Sensor.MAG: "mag_soft_iron"}
-"""The simplest effects: where one has no name, it is a shape, or what is nearest would stand for it."""
+"""The simplest effects: without a name in the catalogue they are shapes, so that no other effect stands for them."""
 _SINCE_START, _SINCE_POWER_UP = "time since the start", "time since power-up"
 _AXES = "xyz"
 
@@ -118,7 +118,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
 
 
 def _common_growth(setting: Setting) -> Iterator[ShapeHypothesis]:
-    """Growth with time on all instances of a sensor alike, of which each would explain a part."""
+    """Growth with time common to all instances of a sensor, of which each alone would explain a part."""
     for sensor in dict.fromkeys(view.sensor for view in setting.views):
         own = [view for view in setting.views if view.sensor is sensor and not view.first]
         units = tuple(sorted({i for view in own for i in view.weights}))
@@ -339,7 +339,7 @@ def _simplest_shapes(trace: Trace, named: Collection[str]) -> Iterator[_ShapeGro
 
 
 def _play_operator(x: Array) -> Array:
-    """Position of pointers with play between the ends of their travel, -1..1, (travels, N, 3).
+    """Position of a reading within the backlash, -1..1, for several widths (widths, N, 3).
 
     A long series is thinned.
     """

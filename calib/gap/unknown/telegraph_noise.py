@@ -1,7 +1,7 @@
 """Telegraph noise: readings that switch between two levels, known as popcorn or burst noise of electronics.
 
-Its spectrum is that of a drift that returns to its mean, and a few of its jumps look like a transient effect. Only two
-levels occur: each axis is a Markov chain of two states, observed through white noise.
+Its spectrum is that of a mean-reverting drift, and a few of its jumps look like a transient effect. Only two levels
+occur: each axis is a Markov chain of two states, observed through white noise.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _WINDOWS = 700
-"""Averages that a series is looked at in: tenths of a second of a minute. Chosen, not measured: it bounds the time."""
+"""Number of averages of a series: tenths of a second for a minute. Chosen, not measured: it bounds the time."""
 _FEWEST = 64
-"""Samples below which a series does not tell levels apart. Chosen, not measured: some ten stays of a few samples on
+"""Least number of samples in a series to separate levels. Chosen, not measured: some ten stays of a few samples on
 either level."""
 _BETTER = 19.0
-"""Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much. Source:
-measured on random walks; the seeds are not recorded."""
+"""Least gain of the chains over an effect, in twice the log-likelihood: three random walks in a hundred reach it.
+Source: measured on random walks; the seeds are not recorded."""
 _FLAT = 2.0
-"""Largest over least power, below half the rate of the averages, up to which their noise is white. Chosen, not
-measured: averages of a correlated noise scatter by less."""
+"""Largest ratio of powers, below half the rate of the averages, of white noise. Chosen, not measured: averages of a
+correlated noise scatter by less."""
 _JUMPS = 3.5
-"""Expected number of them above which readings go to and fro: a step that ends has two. Chosen, not measured: between
-the two of a step that ends and the four of a second one."""
+"""Expected number of jumps above which readings alternate. Chosen, not measured: between the two of one temporary step
+and the four of two."""
 _RARE, _OFTEN = 1e-4, 0.5
-"""Chances of a jump from one average to the next. Chosen, not measured: one jump in 10 000 averages is none, and one in
-two is white noise."""
+"""Limits of the probability of a jump from one average to the next. Chosen, not measured: one jump in 10 000 averages
+is none, and one in two is white noise."""
 _STARTS = (0.02, 0.2)
-"""The chances that a fit begins with, in turn. Chosen, not measured: slow and fast chains; a fit from one of them finds
-either."""
+"""Initial jump probabilities, one for each fit. Chosen, not measured: slow and fast chains; a fit from one of them
+finds either."""
 _ROUNDS, _SETTLED = 30, 0.05
 """Rounds of a fit at most, and the log-likelihood that a further one must gain. Chosen, not measured: they bound the
 time; a twentieth of a nat decides nothing."""
@@ -57,9 +57,9 @@ class TelegraphNoise:
 def telegraph_noise(
     model: Model, attributions: Sequence[Attribution], floor: Mapping[Sensor, float] | None = None
 ) -> tuple[TelegraphNoise, ...]:
-    """Effects of a model, one or all of a sensor together, that stand for jumps between two levels.
+    """Effects of a model, one or all of a sensor together, that actually represent jumps between two levels.
 
-    Jumps that gain less than the `floor` of their sensor are differences between any two recordings.
+    Jumps that gain less than the `floor` of their sensor are usual differences between two recordings.
     """
     found: list[TelegraphNoise] = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
@@ -85,9 +85,8 @@ def _slow_term(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | Non
 def _levels_explain_better(model: Model, terms: Sequence[Term | NoiseTerm], least: float) -> bool:
     """Whether two levels on each axis are far likelier than `terms`, with the other terms unchanged.
 
-    All series that the terms change count: a few levels in one of them are no match for an effect that explains them
-    all. A constant is no jump, so the terms have one on each axis too, and the levels must gain at least `least` beyond
-    it.
+    All series that the terms change count: levels in one of them cannot replace an effect that explains them all. A
+    constant is not a jump, so the terms also get one on each axis, and the levels must gain at least `least` beyond it.
     """
     own, chains, switched, jumping = 0.0, 0.0, 0.0, False
     for v, view in enumerate(model.setting.views):

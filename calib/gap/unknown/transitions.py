@@ -1,7 +1,7 @@
 """Events with a duration: while a magnet is put on, a sensor is on neither the old nor the new level.
 
-A step has no duration. An event has one if several steps in a row describe it, or if readings beside a step are off the
-levels. These samples are removed, and one step is the difference of the levels.
+A step has no duration. An event has one if it takes several consecutive steps to describe it, or if readings beside a
+step deviate from the levels. These samples are removed, and one step then is the difference of the levels.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 ONE_EVENT_S = 2.0
-"""Seconds within which jumps that follow each other are one event. Chosen, not measured: hands take a second or two to
+"""Longest time, s, between successive jumps of one event. Chosen, not measured: a person takes a second or two to
 change something."""
 _ONE_MOMENT = 1.5
-"""Samples within which jumps are one, of a size of its own on each instance. Source: decision 12."""
+"""Samples within which jumps are simultaneous, with a separate size on each instance. Source: decision 12."""
 _MARGIN_S = 0.3
-"""Seconds before the first and after the last of them. Chosen, not measured: filters of a vehicle settle within as
+"""Margin, s, before the first and after the last jump. Chosen, not measured: filters of a vehicle settle within as
 long."""
 _WINDOW_S = 0.25
-"""Seconds over which readings are averaged before they are compared with a level. Chosen, not measured: shorter than an
-event, and noise averages out."""
+"""Averaging time, s, of readings that are compared with a level. Chosen, not measured: shorter than an event, and noise
+averages out."""
 _LEVEL = 33
 """Windows whose median is a level: some eight seconds. Chosen, not measured: four times an event, so that the median is
 not its own."""
 _RAMP = 0.3
-"""Part of a ramp's samples above which it is seen. Chosen, not measured: with fewer the hole and not the ramp
-decides."""
+"""Least fraction of a ramp's samples that must exist. Chosen, not measured: with fewer, the hole would determine the
+fit."""
 _FAR = 6.0
-"""Standard deviations of a window above which it is off its level. Chosen, not measured: flights have many windows,
+"""Standard deviations beyond which a window deviates from its level. Chosen, not measured: flights have many windows,
 and their noise is not normal."""
 
 
@@ -92,7 +92,7 @@ def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple
 
 
 def _ramp_is_sampled(term: Term, view: View) -> bool:
-    """Whether a ramp has samples; in a hole of the recording it is only two levels."""
+    """Whether a ramp has samples; in a hole of the recording only its two levels are known."""
     during = (view.t > term.theta - 0.5 * RAMP_S) & (view.t < term.theta + 0.5 * RAMP_S)
     return int(during.sum()) > _RAMP * RAMP_S * view.fs
 
@@ -129,10 +129,10 @@ def _without_overlap(spans: Sequence[JumpSpan]) -> tuple[JumpSpan, ...]:
 
 
 def span_off_level(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
-    """From when to when a series (n, 3) about an event is off the levels before and after it.
+    """Start and end of the deviation of a series (n, 3) from the levels before and after an event.
 
     Window means are compared with their median over some seconds on that side. Their scatter about such medians
-    elsewhere sets the limit, whatever the noise. Holes end the span.
+    elsewhere sets the limit, for any kind of noise. Holes end the span.
     """
     width = max(1, round(_WINDOW_S * view.fs))
     if view.first or len(residual) < 3 * _LEVEL * width:
@@ -151,7 +151,7 @@ def span_off_level(view: View, residual: Array, start: float, end: float) -> tup
 
 
 def _window_means(residual: Array, width: int) -> Array:
-    """Means (m, 3) of `residual` (n, 3) over windows of `width` samples from the first on; a part of one is dropped."""
+    """Means (m, 3) of `residual` (n, 3) over windows of `width` samples; an incomplete last one is dropped."""
     count = len(residual) // width
     return np.asarray(residual[: count * width].reshape(count, width, 3).mean(axis=1))
 
@@ -169,7 +169,7 @@ def _count_off_level(means: Array, scatter: Array) -> int:
 def level_mismatch(model: Model, term: Term) -> Array:
     """Difference (3,) of the residual levels before and after a step; zero if its size is right.
 
-    Over some seconds beside it or all the time to its neighbours, whichever is larger.
+    The larger of two estimates: over some seconds beside it, and over all the time to its neighbours.
     """
     seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
     weights = [_weight_in(term, model.setting.views[v]) for v in seen]

@@ -18,7 +18,7 @@ _LIVE = "a live sensor, and a reference of the same movement"
 
 
 def unresponsive_sensors(model: Model) -> frozenset[Sensor]:
-    """Sensors that, by the model, respond to next to nothing of their reference's movement.
+    """Sensors that, by the model, hardly respond to the movement of their reference.
 
     A scale of minus one or a cancelled field is implausible. The modelled response is compared with the reference's
     movement axis by axis.

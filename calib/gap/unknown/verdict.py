@@ -1,7 +1,7 @@
 """Unnamed causes in a model, and the unexplained part of the gap.
 
-Unnamed shapes, noise of no sensor, frequent jumps, unexplained bands, and withdrawn effects. None of them is reported
-as an effect: a wrong name looks right.
+These are unnamed shapes, noise of no sensor, frequent jumps, unexplained bands, and withdrawn effects. None is reported
+as an effect: a wrong name would look right.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from mavcal.calib.gap.worth.attribution import Attribution
 from mavcal.calib.recording import Sensor
 
 _MANY_JUMPS = 3
-"""Jumps of one sensor above which they are no single events. Chosen, not measured: a magnet comes and goes by two."""
+"""Most jumps of one sensor that are single events. Chosen, not measured: a magnet put on and taken off makes two."""
 NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
-"""Share of the gap above which something unknown is said. Source: GAP 3.3."""
+"""Share of the gap above which an unknown part is reported. Source: GAP 3.3."""
 _MATERIAL_ON_SENSOR = 0.1
-"""The same of what is left over on one sensor: of a long recording no model explains the last hundredth. Chosen, not
-measured: three times `_MATERIAL`, since nothing is said of its shape."""
+"""The same for the residual of one sensor: no model explains the last hundredth of a long recording. Chosen, not
+measured: three times `_MATERIAL`, since its shape is unknown."""
 _LEAST_PROBABILITY = 0.01
-"""Probability below which no effect is named where something without a name is the likelier. Chosen, not measured: a
-name of one in a hundred helps nobody."""
+"""Least probability of a named effect if an unnamed cause is likelier. Chosen, not measured: a name with a probability
+of one in a hundred is useless."""
 _COMMON = "clock"
-"""What an effect belongs to that is common to all sensors."""
+"""Key for effects common to all sensors."""
 _BEATING, _SAME_DIRECTION = 20.0, 0.8
-"""Periods in a recording by which two waves differ at most, and how alike their directions are, that are one. Chosen,
+"""Largest difference, in periods per recording, and least similarity of direction, of two waves that are one. Chosen,
 not measured: a line that wanders is as wide, and four fifths are most of a direction."""
 
 
@@ -84,7 +84,7 @@ def unnamed_causes_in(
 def improbable_effects(
     attributions: Iterable[Attribution], effects: Mapping[Key, CatalogueEffect], *, beside_withdrawn: bool
 ) -> Iterable[UnnamedCause]:
-    """Effects that are far less likely than an unnamed cause in their place, or than an effect that was withdrawn."""
+    """Effects far less likely than an unnamed cause in their place, or than a withdrawn effect."""
     found: dict[str, list[Key]] = {}
     for a in attributions:
         effect = effects[a.key]
@@ -98,7 +98,7 @@ def improbable_effects(
 
 
 def _frequent_jumps(model: Model) -> list[UnnamedCause]:
-    """Jumps of a sensor that are too many for single events."""
+    """Jumps of a sensor that are too frequent for single events."""
     found = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         events = events_of(model, sensor)
@@ -148,21 +148,20 @@ def unknown_of(
 ) -> Unknown:
     """The unexplained part of the gap: unnamed causes, unexplained power, and withdrawn effects.
 
-    Each is compared with the gap of its own sensor, so that a large effect on another one hides nothing.
+    Each is compared with the gap of its own sensor, so that a large effect on another one does not hide it.
 
     Parameters
     ----------
     model, attributions, causes
-        The model, what its effects are worth, and which of them have no name.
+        The model, the attributions of its effects, and those that have no name.
     unexplained
-        What is in no effect of the model.
+        Significant power that no effect of the model explains.
     bandwidth_hz
-        Up to which the reference knows how the vehicle moves.
+        Bandwidth of the reference's movement.
     floor
-        Twice the nats by sensor that the reference's own nuisance effects make
-        (:mod:`calib.gap.companion.baselines`).
+        By sensor, twice the nats of the reference's own nuisance effects (:mod:`calib.gap.companion.baselines`).
     outside
-        Whether the reference is no sensor of the vehicle.
+        Whether the reference is independent of the vehicle's sensors.
     """
     worth = _EffectNats.of(model, attributions)
     unnamed = worth.restricted_to({key for s in causes for key in s.keys})
@@ -209,6 +208,6 @@ class _EffectNats:
         return _EffectNats({key: n for key, n in self.nats.items() if key in keys}, self.seen)
 
     def shares(self, part: _EffectNats) -> tuple[float, float]:
-        """Share of a `part` in the whole, and its largest share in what acts on one sensor."""
+        """Share of a `part` in the whole, and its largest share on one sensor."""
         each = [part.on_sensor(sensor) / max(self.on_sensor(sensor), 1e-300) for sensor in Sensor]
         return part.whole / max(self.whole, 1e-300), max(each)

@@ -1,9 +1,9 @@
-"""Errors of amplitudes by the error of a re-estimated trajectory, and effects that are no larger.
+"""Errors of amplitudes due to the error of a re-estimated trajectory, and effects that do not exceed it.
 
-A constant tilt reads like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
-gyroscope. A gyroscope matrix estimated inside the trajectory reads like misalignment of the sensor, an accelerometer's
-scale like a scale. The noise of the samples does not contain these errors: a minute of data would state a bias to a
-thousandth of what the tilt leaves open.
+A constant tilt looks like a bias of the accelerometer and an offset of the compass, a growing one like a bias of the
+gyroscope. An error of the gyroscope matrix inside the trajectory looks like misalignment of the sensor, one of an
+accelerometer's scale like a scale. The noise of the samples does not contain these errors. From a minute of data, a
+bias would seem a thousand times more accurate than the tilt allows.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _TILTS, _MATRIX, _FIELD, _SCALES = slice(0, 6), slice(6, 15), slice(15, 18), slice(18, 21)
-"""Columns of what can be wrong: rotations that stay and that grow, the gyroscope's matrix, the Earth's field, the
+"""Columns of the possible errors: constant and growing rotations, the gyroscope's matrix, the Earth's field, the
 accelerometer's scales."""
 _ERRORS = 21
 _REFERENCE_CHANCE = 0.005
-"""Chance above which an effect is as large as the reference's own error makes it. Source: decision 34."""
+"""P-value above which the reference's own error explains an effect. Source: decision 34."""
 _PRIOR_TILT = float(BIAS[-1]) / STANDARD_GRAVITY
-"""Tilt, rad, that an accelerometer's bias makes which the trajectory expects. Source: its prior of that bias."""
+"""Tilt, rad, from the expected accelerometer bias in the trajectory. Source: its prior of that bias."""
 _RANK = 1e-9
-"""Part of the largest variance of amplitudes below which a direction of them was not fitted. Source: rounding of a
+"""Variance, relative to the largest, below which a direction of amplitudes was not fitted. Source: rounding of a
 covariance, 1e-16, with a margin."""
 
 
@@ -45,7 +45,7 @@ def variance_from_attitude(model: Model, joint: Joint) -> Array:
 
 
 def below_reference(model: Model, joint: Joint) -> frozenset[Key]:
-    """Effects on the mean that are no larger than the trajectory's error may make them."""
+    """Effects on the mean that the trajectory's error may explain."""
     moved = _amplitude_errors(model, joint)
     if not moved.any():
         return frozenset()
@@ -63,11 +63,11 @@ def below_reference(model: Model, joint: Joint) -> frozenset[Key]:
 
 
 def on_uncertain_unit(model: Model) -> dict[Key, float]:
-    """Effects on one of two units that the other may have instead, with the opposite sign; and how sure their unit is.
+    """Effects that the other of two units may have instead, with opposite sign; and the probability of the stated unit.
 
     The difference of the units is certain. The other unit has the effect if an error of the trajectory imitates it on
-    both units; the value compares the likelihood of no error with that of this error. Effects are left out if the
-    error is improbable. The prior of the unit's bias does not count: both units have the same one.
+    both units. The value compares the likelihood of no error with that of this error. Effects are left out if the error
+    is improbable. The prior of the bias does not matter: it is the same for both units.
     """
     views = model.setting.views
     tilt = max((view.att_sd for view in views if view.reference_error), default=0.0)
@@ -110,7 +110,7 @@ def _amplitude_errors(model: Model, joint: Joint) -> Array:
     The attitude is rotated by :attr:`View.att_sd` about each axis; half of the variance is constant, half grows over
     the recording. :attr:`View.inside_sd` are errors of values estimated inside the trajectory. To first order the
     change is ``C X' W R``, with `R` the change of the readings. If the wandering attitude is in the model, only the
-    latter are left.
+    latter are used.
     """
     count = len(joint.covariance)
     known = all(view.att_sd == 0.0 for view in model.setting.views if view.reference_error)
@@ -171,7 +171,7 @@ def _matrix_errors(view: View) -> Array:
 
 
 def _scale_errors(view: View) -> Array:
-    """Columns (3, n, 3) of an accelerometer's scales; its bias takes what they do to a steady force."""
+    """Columns (3, n, 3) of an accelerometer's scales; its bias absorbs their effect on a constant force."""
     ideal = view.ideal
     moving = (ideal - ideal.mean(axis=0)) * np.array(view.inside_sd)
     return np.asarray(np.eye(3)[:, None, :] * moving[None])

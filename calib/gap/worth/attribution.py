@@ -26,23 +26,23 @@ from mavcal.calib.gap.search.exchange import (
 from mavcal.calib.gap.search.terms import marginal_gains
 
 _SECOND_ORDER_SCALE = 8.0
-"""By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability.
-Chosen, not measured: a second order of 16 then counts as much as `TEMPERATURE`."""
+"""Second-order evidence per unit of temperature, beside noise learned from flights. Chosen, not measured: a second
+order of 16 then counts as much as `TEMPERATURE`."""
 TEMPERATURE = 2.0
-"""By which differences of penalised evidence are flattened into probabilities. Source: GAP 3.7 has the form. The value
-is chosen, not measured; `telling/effect_report.py` corrects what it gives."""
+"""Temperature that flattens differences of penalised evidence into probabilities. Source: GAP 3.7 has the form. The
+value is chosen, not measured; `telling/effect_report.py` corrects what it gives."""
 _DRIFT_SHARE = 0.8
-"""Part of its probability that noise that wanders keeps: it takes the place of anything slow. Chosen, not measured: it
-leaves a fifth to what else is slow."""
+"""Fraction of its probability that drift noise keeps, since it can imitate anything slow. Chosen, not measured: it
+leaves a fifth to other slow causes."""
 _LISTED_WITHIN = 12.0
 """Penalised evidence within which a rival is listed. Source: GAP 3.6."""
 _LISTED_SHARE = 0.98
-"""Part of the evidence of an effect above which a rival is listed as well, though not beyond `prices.RIVAL_REACH`.
-Source: GAP 3.6, 2 % of the gain."""
+"""Fraction of an effect's evidence above which a rival is listed too, though not beyond `prices.RIVAL_REACH`. Source:
+GAP 3.6, 2 % of the gain."""
 
 
 DRIFT_IN_TIME = "drift_in_time"
-"""What is listed beside an effect of temperature where time explains as much: it has no effect of its own."""
+"""Rival of a thermal effect where time explains as much; growth with time has no effect of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Attribution:
     unknown_probability: float
     rivals: tuple[Rival, ...]
     shape: str = ""
-    """The likeliest of what has no name in its place."""
+    """The likeliest nameless shape in its place."""
 
     @property
     def doubted(self) -> bool:
@@ -91,7 +91,7 @@ def attributions(settled: StableModel, contest: Contest) -> tuple[Attribution, .
 
 
 def _grows_with_time(other: Alternative) -> bool:
-    """Whether it grows evenly with time."""
+    """Whether it grows linearly with time."""
     return Trait.GROWING in other.score.hypothesis.effect.traits
 
 

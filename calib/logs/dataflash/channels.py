@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 INSTANCES: Final = 8
-"""No vehicle has more of a kind; a higher number is damage."""
+"""Most instances of a kind; a higher number is damage."""
 WORDS: Final = {
     Oddity.UNREADABLE: "are no numbers that such a sensor can read",
     Oddity.UNHEALTHY: "the vehicle itself calls unhealthy",
     Oddity.ZERO: "are exactly 0, 0, 0, which such a sensor never reads",
 }
 _NEVER_ZERO: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
-"""Sensors that are dead where they read nothing but zeros."""
+"""Sensors that count as dead if they read only zeros."""
 
 
 class SensorChannels:
@@ -65,7 +65,7 @@ class SensorChannels:
                     yield channel
 
     def _in_time(self, rows: Table, instance: int, t: Array) -> Mask:
-        """The rows with increasing times; the others are counted in an event."""
+        """The rows in order of time; the others are counted in an event."""
         keep = ordered(t)
         back = int((np.isfinite(t) & ~keep).sum())
         stood = np.flatnonzero(keep)[~moving(t[keep])]
@@ -134,7 +134,7 @@ def _columns_of(table: Table, reading: LogReading) -> tuple[str, ...]:
 
 
 def _channel(table: Table, reading: LogReading, instance: int, t: Array, values: Array, good: Mask) -> Channel | None:
-    """The good rows; None if there are none, or nothing but zeros: the sensor is not there."""
+    """Channel of the good rows; None if there are none, or only zeros: the sensor is absent."""
     if not good.all():
         t, values = t[good], values[good]
     if not len(t) or not values.any():  # a thermometer that is not there reads 0 as well
@@ -168,7 +168,7 @@ def _readable(values: Array, most: float) -> Mask:
 
 
 def _new_readings(t: Array, values: Array) -> Mask:
-    """Rows whose compass was read after the row before: its time went on, or the numbers changed."""
+    """Rows with a new compass reading: its time advanced, or its values changed."""
     keep = np.ones(len(t), dtype=bool)
     keep[1:] = (np.diff(t) > 0.0) | (np.diff(values, axis=0) != 0.0).any(axis=1)
     return keep

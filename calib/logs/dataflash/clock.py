@@ -1,8 +1,8 @@
 """Times of a DataFlash log in seconds since boot, without the corrupt ones.
 
-A damaged byte may lie in a time stamp, where it would move a sample to any moment. The messages lie in the file in the
-order of time, so a stamp that contradicts its neighbours is seen and its message left out; a clock that starts again in
-the middle (a restart within one file) goes on where it stopped.
+A damaged byte in a time stamp would move a sample to any time. Messages are in the order of time, so a stamp that
+contradicts its neighbours is detected and its message left out. Where the clock starts again (a restart within one
+file), times continue from where it stopped.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ if TYPE_CHECKING:
 Mask = NDArray[np.bool_]
 
 STAMPS: Final = (("TimeUS", 1e-6), ("T", 1e-3), ("TimeMS", 1e-3))
-"""Columns that hold the time since boot. GPS of old firmwares says the time of the week in TimeMS, and its own in T."""
+"""Columns with the time since boot. In old firmwares' GPS messages TimeMS is the time of week and T the time since
+boot."""
 WHOLE: Final = ("Q", "I", "q", "i")
 WRAP_US: Final = 2**32
 WRAP_S: Final = 1e-6 * WRAP_US
-"""A clock of 32 bits of microseconds runs over after 71 minutes."""
+"""Period, s, of a 32-bit microsecond counter: 71 minutes."""
 LATEST_US: Final = 1_000_000
-"""A sample that claims to be older than this when it is logged was read at a time that is not known."""
+"""Greatest age of a sample when it is logged, us; beyond it, the time of reading is unknown."""
 BACKWARD_S: Final = 1.0
-"""Messages of several threads may be written so little out of order; a longer step back is damage or a restart."""
+"""Largest disorder, s, of messages from several threads; a longer step back is damage or a restart."""
 CONFIRMATIONS: Final = 5
-"""Messages in a row behind a step back that mean a restart; fewer are damage."""
+"""Consecutive messages after a step back that confirm a restart; fewer mean damage."""
 RESTART_GAP_S: Final = 0.5
 """Seconds assumed between the last time before a restart and the first one after it; the true length is unknown."""
 LONGEST_JUMP_S: Final = 60.0
-"""A last message that lies further behind all others is damage."""
+"""Largest time, s, from the last but one message to the last; beyond it, the last one is damaged."""
 LONGEST_S: Final = 3600.0
-"""Other messages may go on so long after the last one of the densest."""
+"""Time, s, for which other messages may follow the last one of the densest type."""
 ROUNDS: Final = 8
 ROWS: Final = 1 << 15
-"""Messages whose times are worked on at once."""
+"""Messages whose times are processed at once."""
 
 
 class Clock:
@@ -73,9 +74,9 @@ class Clock:
 
     @cached_property
     def _grid(self) -> tuple[NDArray[np.int64], Array]:
-        """Places in the file and times of the densest message whose times are plausible.
+        """File offsets and times of the densest message type, where plausible.
 
-        A quarter of what a recording of it needs, so it is only made for a log with damage or messages without stamp.
+        It takes a quarter of the memory of a recording, so only logs with damage or messages without a stamp need it.
         """
         if self._densest is None:
             return np.empty(0, dtype=np.int64), np.empty(0)
@@ -84,7 +85,7 @@ class Clock:
         return self._densest.offsets[keep], times[keep]
 
     def _over_restarts(self, t: Array, table: Table) -> Array:
-        """`t` as it goes on over restarts."""
+        """`t` made continuous across restarts."""
         if self._restarts:
             t = t.copy()
             places = [place for place, *_ in self._restarts]
@@ -95,7 +96,7 @@ class Clock:
 
     @property
     def events(self) -> list[Event]:
-        """Restarts within the log; a clock of 32 bits that ran over did not start again."""
+        """Restarts within the log; an overflow of a 32-bit clock is not one."""
         return [
             Event(t, "reboot", "the vehicle's clock started again")
             for (_, _, t), wrapped in zip(self._restarts, self._wrapped, strict=True)
@@ -103,7 +104,7 @@ class Clock:
         ]
 
     def times(self, table: Table) -> Array:
-        """Times at which the messages of `table` were written, s; nan where the stamp cannot be believed."""
+        """Times at which the messages of `table` were written, s; nan where the stamp is implausible."""
         if _stamp(table) is None or self._span is None:
             return self._by_place(table)
         t = self._over_restarts(_stamps(table), table)
@@ -119,7 +120,7 @@ class Clock:
         return t
 
     def moments(self, table: Table) -> list[float]:
-        """The same for events: a stamp that cannot be believed is replaced by the one of the messages around."""
+        """Times of the events of `table`; an implausible stamp is replaced by that of the surrounding messages."""
         t = self.times(table)
         lost = ~np.isfinite(t)
         if lost.any():
@@ -127,7 +128,7 @@ class Clock:
         return [float(time) for time in t]
 
     def sample_times(self, table: Table) -> Array:
-        """Times at which the sensor was read, s; where no column says it, when the message was written."""
+        """Times at which the sensor was read, s; without a column for it, when the message was written."""
         t = self.times(table)
         column = next((name for name in SAMPLE_TIME_COLUMNS if table.format.letter(name) in WHOLE), None)
         if column is None or table.format.letter("TimeUS") not in WHOLE:
@@ -151,9 +152,9 @@ class Clock:
 
 
 def ordered(t: Array) -> Mask:
-    """Which of the times stay so that none is before the one in front of it; as few as possible are left out.
+    """Mask of the times to keep so that they never decrease; as few as possible are left out.
 
-    When two contradict each other, the one goes that contradicts its other neighbour too.
+    Of two that contradict each other, the one that also contradicts its other neighbour is left out.
     """
     keep = np.isfinite(t)
     for _ in range(ROUNDS):
@@ -170,7 +171,7 @@ def ordered(t: Array) -> Mask:
 
 
 def _consistent(times: Array) -> Mask:
-    """Which times of the densest messages contradict no other."""
+    """Mask of the times of the densest message type that contradict no other."""
     keep = ordered(times)
     if keep.any() and len(times) > 2 and times[-1] - times[-2] > LONGEST_JUMP_S:
         keep[-1] = False
@@ -178,7 +179,7 @@ def _consistent(times: Array) -> Mask:
 
 
 def _restarts(t: Array) -> list[int]:
-    """Rows at which the clock starts again: many in a row are earlier than the one before, and go on in order."""
+    """Rows at which the clock starts again: several consecutive ones are earlier than before, and in order."""
     found = []
     for i in np.flatnonzero(np.diff(t) < -BACKWARD_S).tolist():
         after = t[i + 1 : i + 1 + CONFIRMATIONS]

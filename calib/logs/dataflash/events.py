@@ -28,14 +28,14 @@ _TYPES: Final = {
     "blimp": dialect.MAV_TYPE_AIRSHIP,
 }
 _SIMULATED: Final = re.compile(r"[0-9A-Za-z]{32}")
-"""A simulated vehicle prints its machine's id as it is, and sends the first bytes of it."""
+"""A simulated vehicle prints the id of its host unchanged, and sends its first bytes."""
 _CHIP: Final = re.compile(r"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})$")
 _PARAMETER: Final = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 UID2_BYTES: Final = 18
 
 
 def parameter_entries(log: Log, clock: Clock) -> tuple[ParameterEntry, ...]:
-    """Every parameter the log holds, in its order: the list of the start, and what was set later."""
+    """Every parameter in the order of the log: the list at the start, then later changes."""
     table = log.get("PARM")
     if table is None or "Name" not in table or "Value" not in table:
         return ()
@@ -91,7 +91,7 @@ def spoken_events(log: Log, clock: Clock) -> list[Event]:
 
 
 def counted_events(log: Log, clock: Clock) -> list[Event]:
-    """Clipping of the accelerometers and messages that the logger dropped, each as one sum."""
+    """Clipping of the accelerometers, and messages dropped by the logger, each as one event with the total."""
     events = []
     vibration = log.get("VIBE")
     if vibration is not None:
@@ -111,7 +111,7 @@ def counted_events(log: Log, clock: Clock) -> list[Event]:
 
 
 def _clipping(t: Any, counter: Any, instance: int) -> list[Event]:
-    """The samples of an accelerometer at the end of its range; none: an event of 0 is no event."""
+    """Event with the clipped samples of an accelerometer; nothing if the count is 0."""
     total, first, last = _increase(t, counter)
     odd = OddSamples(Oddity.CLIPPED, Sensor.ACCEL, instance, total, until=last)
     return [Event(first, "clipping", f"accelerometer {instance + 1} clipped {total} times", odd)] if total else []
@@ -145,5 +145,5 @@ def _rows(log: Log, clock: Clock, name: str, *columns: str) -> list[tuple[float,
 
 
 def _uid(words: tuple[str, ...]) -> str:
-    """The chip's number as AUTOPILOT_VERSION's uid2 says it: the log prints words, the message holds their bytes."""
+    """Chip id in the form of AUTOPILOT_VERSION.uid2: the log prints words, the message contains their bytes."""
     return b"".join(bytes.fromhex(word)[::-1] for word in words).rstrip(b"\0").hex()

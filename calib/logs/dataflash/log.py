@@ -30,7 +30,7 @@ class DataFlash(Mapping[str, Table]):
     path_or_bytes
         The file (mapped, not read), or its content.
     names
-        The messages that will be asked for; None: any. Fewer need less memory.
+        The messages that will be read; None: any. Fewer need less memory.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class DataFlash(Mapping[str, Table]):
 
     @cached_property
     def _units(self) -> dict[int, dict[str, str]]:
-        """Units of the columns by type, as FMTU, UNIT and MULT say them."""
+        """Units of the columns by type, from FMTU, UNIT and MULT."""
         labels = dict(self._pairs("UNIT", "Id", "Label"))
         factors = dict(self._pairs("MULT", "Id", "Mult"))
         found = {}
@@ -117,7 +117,7 @@ def _units_of(
     labels: Mapping[Any, Any],
     factors: Mapping[Any, Any],
 ) -> dict[str, str]:
-    """Unit of each column as its values are given out; a column that the log scales itself is in the plain unit."""
+    """Unit of each column's returned values; a column that the log scales itself is in the plain unit."""
     found = {}
     for column, unit, multiplier in zip(format_.columns, units, multipliers, strict=False):
         label = str(labels.get(ord(unit), ""))

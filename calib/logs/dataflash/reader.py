@@ -1,8 +1,8 @@
 """Reads DataFlash logs as recordings.
 
 Batches hold some thousand consecutive samples of one sensor at its own rate. ISBH states sensor, instance, time of the
-first sample, rate and scale; each of the following ISBD holds 32 samples as int16 (``BatchSampler.cpp``). Of compass
-offsets that the vehicle changed by itself, MAG states the ones in force, PARM only the commanded ones.
+first sample, rate and scale; each of the following ISBD holds 32 samples as int16 (``BatchSampler.cpp``). Where the
+vehicle changed compass offsets itself, MAG states those in force, PARM only the commanded ones.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ if TYPE_CHECKING:
 
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_S: Final = 18
-"""GPS time is ahead of UTC by so much since 2017; nothing here depends on a second."""
+"""Lead of GPS time over UTC since 2017, s; one second more or less does not matter here."""
 COLUMNS: Final = ("OfsX", "OfsY", "OfsZ")
 TRUNCATION_MGAUSS: Final = 1.0
 CONFIRMATIONS: Final = 3
-"""An offset that stands in fewer messages in a row is damage, or was on its way."""
+"""Consecutive messages that confirm an offset; in fewer, it is damage or still changing."""
 MOST: Final = 500
 SAMPLES: Final = 32
 SENSORS: Final = {0: (Sensor.ACCEL, "m/s2"), 1: (Sensor.GYRO, "rad/s")}
 UNITS: Final = 5
-"""Inertial units that a vehicle may have."""
+"""Numbers of the inertial units that a vehicle may have."""
 OPTION: Final = "INS_LOG_BAT_OPT"
 SENSOR_RATE, POST_FILTER = 1, 2
 HEADER: Final = ("N", "type", "instance", "mul", "smp_cnt", "SampleUS", "smp_rate")
@@ -85,7 +85,7 @@ def read_dataflash(path_or_bytes: Path | str | bytes) -> Recording:
 
 
 def read_dataflash_text(path: Path | str) -> Recording:
-    """Read a DataFlash log as text: the same, from the lines of old firmwares and ground stations.
+    """Read a DataFlash log in text form, as old firmwares and ground stations write it, as a recording.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Re
 
 
 def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> tuple[ParameterTimeline, list[Event]]:
-    """Parameters of the log: its list, later settings, what its firmware's age implies, and changes by the vehicle."""
+    """Parameters of the log: its list, later settings, defaults of old firmwares, and changes by the vehicle."""
     entries = list(parameter_entries(log, clock))
     if whole:
         listed = {entry.name: entry.value for entry in entries}
@@ -159,7 +159,7 @@ def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> t
 
 
 def _types_match(table: Table) -> bool:
-    """Whether numbers stand where numbers are known to stand, and texts where texts are."""
+    """Whether known columns have their type: numbers or texts."""
     texts = TEXT_COLUMNS.get(table.name, ())
     arrays = ("x", "y", "z") if table.name == "ISBD" else ()
     return len(table) > 0 and all(
@@ -178,7 +178,7 @@ def _damage(index: Index, source: str) -> list[Event]:
 
 
 def _date(log: Log, clock: Clock) -> list[Event]:
-    """The first date that the GPS knew."""
+    """The first date from the GPS."""
     table = log.get("GPS")
     if table is None:
         return []
@@ -195,7 +195,7 @@ def _date(log: Log, clock: Clock) -> list[Event]:
 
 
 def learned_offsets(log: Log, clock: Clock, parameters: ParameterTimeline) -> tuple[list[ParameterEntry], list[Event]]:
-    """Entries for offsets that were in force and are no parameter of the log, to the whole mGauss; and the events."""
+    """Entries, to the whole mGauss, for offsets in force that the log's parameters lack; and the events."""
     entries: list[ParameterEntry] = []
     events: list[Event] = []
     for number, message in enumerate(("MAG", "MAG2", "MAG3")):
@@ -222,7 +222,7 @@ def _unexplained(
     instance: int,
     parameters: ParameterTimeline,
 ) -> list[ParameterEntry]:
-    """Entries at the times where the offset that stands in the messages becomes another one than the parameters say."""
+    """Entries at the times where the offset in the messages begins to differ from the parameters."""
     changed = np.flatnonzero((np.diff(offsets, axis=0) != 0).any(axis=1)) + 1
     edges = np.concatenate([[0], changed, [len(offsets)]])
     runs = edges[:-1][np.diff(edges) >= CONFIRMATIONS][:MOST]

@@ -1,8 +1,8 @@
 """Where the messages of a binary DataFlash log begin.
 
-There is no checksum: a message is believed because another one follows where it ends. Candidates are found for a whole
-block of the file at once. Where the chain of messages is unbroken nothing more happens. Only its breaks are walked one
-by one: damage, and payloads that look like a header.
+There is no checksum: a message is accepted if another one follows where it ends. Candidates are found for a whole block
+of the file at once. An unbroken chain of messages needs no more. Only breaks are walked one by one: damage, and
+payloads that look like a header.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
 
 BLOCK: Final = 1 << 22
-"""Bytes that are searched at once; small enough for the processor's cache."""
+"""Bytes that are searched at once; a block fits the processor's cache."""
 LONGEST: Final = 256
-"""No message is longer: its length is one byte."""
+"""Longest message, bytes: the length field has one byte."""
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Index:
 
     @property
     def skipped_bytes(self) -> int:
-        """Bytes in those stretches."""
+        """Number of skipped bytes."""
         return sum(length for _, length in self.skipped)
 
 
@@ -87,7 +87,7 @@ def _define(index: Index, lengths: Offsets, window: Bytes, begins: Offsets) -> N
     for begin in here.tolist():
         _adopt(index, lengths, window, begin)
         following = begin + FMT_LENGTH
-        # definitions stand behind one another: one whose header is damaged need not be lost, and its messages with it
+        # definitions follow one another, so one with a damaged header can be recovered, with its messages
         while following + HEADER <= len(window) and (window[following : following + 2] != MAGIC).sum() == 1:
             if not _adopt(index, lengths, window, following):
                 break
@@ -95,7 +95,7 @@ def _define(index: Index, lengths: Offsets, window: Bytes, begins: Offsets) -> N
 
 
 def _adopt(index: Index, lengths: Offsets, window: Bytes, begin: int) -> bool:
-    """Whether the definition at `begin` is one that can be believed; it is known from then on."""
+    """Adopt the definition at `begin`; returns whether it is valid."""
     if begin + FMT_LENGTH > len(window):
         return False
     made = read_fmt(window[begin + HEADER : begin + FMT_LENGTH].tobytes())
@@ -113,9 +113,9 @@ class _Walk:
     Parameters
     ----------
     window
-        The block and what follows, as far as a message that begins in it may reach, and the header behind that.
+        The block, with enough bytes behind it for a message that begins in it and one more header.
     begins
-        Its candidates.
+        Offsets in the block at which a message may begin.
     lengths
         Length by type, 0 for unknown ones.
     last
@@ -135,11 +135,11 @@ class _Walk:
 
     @property
     def accepted(self) -> Offsets:
-        """Offsets of the messages that are believed, ascending."""
+        """Offsets of the accepted messages, ascending."""
         return np.concatenate(self._pieces) if self._pieces else np.empty(0, dtype=np.int64)
 
     def run(self, expected: int, limit: int) -> int:
-        """Walk from `expected` over the messages that begin before `limit`; where the next one is expected."""
+        """Walk from `expected` over the messages that begin before `limit`; returns where the next one is expected."""
         begins, ends = self._begins, self._ends
         stop = int(np.searchsorted(begins, limit))
         i = int(np.searchsorted(begins, expected))
@@ -164,7 +164,7 @@ class _Walk:
         return expected
 
     def _run_end(self, i: int) -> int:
-        """The last message of the unbroken chain that `i` lies in."""
+        """The last message of the unbroken chain that contains `i`."""
         k = int(np.searchsorted(self._breaks, i))
         return int(self._breaks[k]) if k < len(self._breaks) else len(self._begins) - 1
 
@@ -172,7 +172,7 @@ class _Walk:
         return end == self._file_end or (j < len(self._begins) and int(self._begins[j]) == end)
 
     def _next_valid(self, i: int) -> int:
-        """The first candidate from `i` on behind which another one follows; beyond all if there is none."""
+        """The first candidate from `i` that another one follows; the number of candidates if there is none."""
         k = int(np.searchsorted(self._valid, i))
         return int(self._valid[k]) if k < len(self._valid) else len(self._begins)
 
@@ -184,7 +184,7 @@ class _Walk:
         return np.flatnonzero((self._begins[at] == self._ends) | (self._ends == self._file_end))
 
     def _nearly_header(self, at: int) -> bool:
-        """Whether two of the three bytes of a header are there: the damage is behind the message that ends here."""
+        """Whether two of the three header bytes match at `at`: the damage is then after the message that ends there."""
         if at + HEADER > len(self._window):
             return False
         first, second, type_ = self._window[at : at + HEADER].tolist()
@@ -206,7 +206,7 @@ def _file(index: Index, base: int, begins: Offsets, window: Bytes, names: Collec
 
 
 def _merged(stretches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The same stretches, those that touch made one."""
+    """The stretches, with adjacent ones merged."""
     merged: list[tuple[int, int]] = []
     for start, length in stretches:
         if merged and sum(merged[-1]) == start:

@@ -48,9 +48,9 @@ MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.HEIGHT: np.array([1e4]),
     Sensor.AIR: np.array([2e5, 200.0]),
 }
-"""No vehicle does more (unit of the channel): what does is damage."""
+"""Largest plausible values, in the unit of the channel; larger ones are damage."""
 FIX_3D: Final = 3
-"""``GPS.Status`` from which on place and velocity are known."""
+"""Least ``GPS.Status`` with a position and velocity."""
 _QUATERNION = ("Q1", "Q2", "Q3", "Q4")
 _TRUTH = (
     ("SIM", Sensor.ATTITUDE, _QUATERNION, "1"),
@@ -99,7 +99,7 @@ def reference_channels(log: Log, clock: Clock) -> list[Channel]:
 def channel_of(
     sensor: Sensor, table: Table, t: Array, values: Array, unit: str, *, instance: int = 0, quantum: float = 0.0
 ) -> Channel:
-    """A channel of the rows that can be true, in the order of time."""
+    """A channel of the plausible rows, in the order of time."""
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
         values = np.asarray(values, dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values
@@ -114,7 +114,7 @@ def channel_of(
 
 
 def unit_quaternions(q: Array) -> Array:
-    """The quaternions (N, 4) at length 1; nan where there is none."""
+    """The quaternions (N, 4), normalised; nan where undefined."""
     length = np.linalg.norm(q, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where((length > 0.5)[:, None], q / length[:, None], np.nan))
@@ -189,7 +189,7 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
 
 
 def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_type: int | None) -> Channel | None:
-    """Drive of every motor, 0..1, or -1..1 of a reversible one. An output that never says anything is left out."""
+    """Drive of every motor, 0..1, or -1..1 if reversible. An output that is never driven is left out."""
     table = log.get("RCOU") or log.get("MOT")
     if table is None:
         return None
@@ -210,7 +210,7 @@ def _motors(log: Log, clock: Clock, parameters: Mapping[str, float], vehicle_typ
 
 
 def _vibration(log: Log, clock: Clock) -> list[Channel]:
-    """Levels of VIBE of each inertial unit; firmwares before 4.1 have those of the one in use, the first one."""
+    """VIBE levels of each inertial unit; firmwares before 4.1 have only those of the unit in use, the first one."""
     table = log.get("VIBE")
     columns = ("VibeX", "VibeY", "VibeZ")
     if table is None or any(name not in table for name in columns):
@@ -225,7 +225,7 @@ def _vibration(log: Log, clock: Clock) -> list[Channel]:
 
 
 def _rotors(log: Log, clock: Clock) -> Channel | None:
-    """Speeds of all rotors at the times of the first one's messages; the others' last ones known then."""
+    """Speeds of all rotors at the message times of the first; the others hold their last value."""
     table = log.get("ESC")
     if table is None or "RPM" not in table:
         return None

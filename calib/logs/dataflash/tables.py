@@ -17,7 +17,7 @@ Column = NDArray[Any]
 Part = tuple[int, NDArray[np.uint32]]
 
 ROWS: Final = 1 << 15
-"""Messages that are gathered at once: what is copied on the way stays in the processor's cache."""
+"""Messages gathered at once, few enough to stay in the processor's cache."""
 
 
 class Table(ABC):
@@ -101,7 +101,7 @@ Log = Mapping[str, Table]
 
 
 class BinaryTable(Table):
-    """Messages that lie in `data` behind the offsets of `parts`; nothing is read before it is asked for."""
+    """Messages of `data` at the offsets of `parts`; nothing is read until requested."""
 
     def __init__(self, format_: Format, units: Mapping[str, str], data: Bytes, parts: list[Part]) -> None:
         super().__init__(format_, units)
@@ -165,7 +165,7 @@ class BinaryTable(Table):
         return column
 
     def _rows(self, names: Iterable[str]) -> Iterator[NDArray[Any]]:
-        """The bytes of these columns and what lies between them, some thousand messages at a time."""
+        """The bytes of these columns and those between them, some thousand messages at a time."""
         whole = self.format.dtype
         fields = {name: whole.fields[name] for name in names} if whole.fields else {}
         if not fields:

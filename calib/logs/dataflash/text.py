@@ -28,7 +28,7 @@ class TextTable(Table):
 
     @property
     def offsets(self) -> NDArray[np.int64]:
-        """The lines they stand on, from 0."""
+        """Line numbers of the messages, from 0."""
         return self._lines
 
     def where(self, rows: NDArray[np.bool_]) -> TextTable:
@@ -53,7 +53,7 @@ class TextTable(Table):
 
 
 class TextLog(Mapping[str, Table]):
-    """A text log as its tables; `skipped` lines belong to no message that is defined, or contradict its definition.
+    """A text log as its tables; `skipped` lines belong to no defined message, or contradict its definition.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def _definition(rest: str) -> Format | None:
 
 
 def _row(format_: Format, rest: str) -> tuple[float | str, ...] | None:
-    """The cells of one line; None if they are not what the definition says."""
+    """The cells of one line; None if they contradict the definition."""
     columns = len(format_.columns)
     parts = rest.split(",", max(columns - 1, 0)) if format_.letters[-1:] == "Z" else rest.split(",")
     if len(parts) != columns:

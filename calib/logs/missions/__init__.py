@@ -1,1 +1,1 @@
-"""The mission that a log holds: `items` -> `course` (where it flies, how long) -> `reading`."""
+"""The mission in a log: `items` -> `course` (positions and durations) -> `reading`."""

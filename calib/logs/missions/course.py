@@ -1,6 +1,6 @@
 """Where a mission flies from a home, and how long each item takes.
 
-Lengths are those of a flat Earth about the mean latitude of two places, as ArduPilot's own (``Location.cpp``).
+Distances are those of a flat Earth at the mean latitude of two places, as in ArduPilot (``Location.cpp``).
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from mavcal.calib.logs.missions.items import (
 
 METRES_PER_DEGREE: Final = 111_318.845
 _LEAST_COS: Final = 0.01
-"""Latitude beyond which a degree of longitude keeps its length."""
+"""Least cosine of the latitude; nearer the poles the length of a degree of longitude is held."""
 _CLIMB, _SINK, _TOUCH = 1.5, 1.0, 0.4
-"""m/s of climbs, of descents, and of the last metres; below what ArduPilot flies with its own defaults."""
+"""Speeds, m/s, of climbs, of descents, and of the last metres; below ArduPilot's defaults."""
 _LAST_M: Final = 10.0
 """LAND_ALT_LOW."""
 _RETURN_M: Final = 15.0
 _RETURN_WAIT_S: Final = 5.0
 """RTL_ALT, RTL_LOIT_TIME."""
 _TURN_S: Final = 20.0
-"""A circle at CIRCLE_RATE 20 deg/s, about."""
+"""Time of one circle at CIRCLE_RATE 20 deg/s, about."""
 _EDGE_S: Final = 3.0
-"""To start and stop, an item."""
+"""Time to start and stop, for each item, s."""
 LEAST_TAKE_OFF_M: Final = 3.0
-"""Chosen, not measured: lower a multicopter is within its own downwash."""
+"""Least height of a take-off, m. Chosen, not measured: lower, a multicopter is in its own downwash."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def _moved(item: MissionItem, before: Place, home: Place) -> MissionItem:
 
 
 def with_take_off(mission: LoggedMission) -> LoggedMission:
-    """The same with a take-off first, where it begins in the air: to the height of its first place.
+    """The mission with a take-off to the height of its first place, if it begins in the air.
 
     Raises
     ------
@@ -127,9 +127,9 @@ def height_of(item: MissionItem, home: Place) -> float:
 
 
 def durations(mission: LoggedMission, speed: float) -> tuple[float, ...]:
-    """Seconds that each item takes about, at a horizontal `speed` in m/s until the mission changes it.
+    """Approximate duration of each item, s, at a horizontal `speed` in m/s until the mission changes it.
 
-    What waits beside the flight (CONDITION_DELAY, CONDITION_YAW) counts as if the vehicle waited.
+    Conditions that wait during the flight (CONDITION_DELAY, CONDITION_YAW) count as if the vehicle stopped for them.
     """
     course = _Course(home_of(mission), speed)
     return tuple(course.fly(item) for item in mission.items)
@@ -143,7 +143,7 @@ class _Course:
         self._north = self._east = self._height = 0.0
 
     def fly(self, item: MissionItem) -> float:
-        """The seconds of one item; the vehicle is where it ends then."""
+        """Duration of one item, s; moves the vehicle to its end."""
         first, second, third, _ = item.parameters
         if not item.flies:
             if item.command == OtherCommand.DO_CHANGE_SPEED and first in (0.0, 1.0) and second > 0.0:

@@ -1,4 +1,4 @@
-"""Items of a mission by MAVLink's numbers, and which of them a multicopter of a simulator can fly."""
+"""Mission items by MAVLink's numbers, and those that a simulated multicopter can fly."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PLACED: Final = (
 
 
 class OtherCommand(IntEnum):
-    """Commands without a flight of their own that are passed on as they are (MAV_CMD)."""
+    """Commands that do not move the vehicle and are passed on unchanged (MAV_CMD)."""
 
     CONDITION_DELAY = dialect.MAV_CMD_CONDITION_DELAY
     CONDITION_DISTANCE = dialect.MAV_CMD_CONDITION_DISTANCE
@@ -66,7 +66,7 @@ class OtherCommand(IntEnum):
 
 
 REGARDED: Final = (OtherCommand.DO_SET_ROI_LOCATION, OtherCommand.DO_SET_ROI)
-"""Those of them that have a place."""
+"""Those of these commands that have a place."""
 _REFUSED: Final = (
     *("NAV_LOITER_UNLIM", "NAV_CONTINUE_AND_CHANGE_ALT", "NAV_LOITER_TO_ALT", "NAV_VTOL_TAKEOFF", "NAV_VTOL_LAND"),
     *("NAV_GUIDED_ENABLE", "NAV_PAYLOAD_PLACE", "DO_JUMP", "DO_SET_HOME", "DO_SET_RELAY", "DO_SET_SERVO"),
@@ -77,12 +77,12 @@ _NAMES: Final[Mapping[int, str]] = {
     **{getattr(dialect, f"MAV_CMD_{name}"): name.removeprefix("NAV_") for name in _REFUSED},
 }
 _HIGHEST_M: Final = 10_000.0
-"""Altitudes beyond are damage. Chosen, not measured: no multicopter flies there."""
+"""Highest plausible altitude, m. Chosen, not measured: no multicopter flies higher."""
 
 
 @dataclass(frozen=True)
 class MissionItem:
-    """One item: a command, what it is given, and where.
+    """One item: a command, its parameters and its place.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ class MissionItem:
     command, frame
         By MAVLink's numbers (MAV_CMD, MAV_FRAME).
     parameters
-        The first four of the command, in its own units; the fourth of what flies may be NaN: the heading is free.
+        The first four of the command, in its own units. The fourth may be NaN for a command that flies: any heading.
     latitude, longitude, altitude
-        deg, deg, m; latitude and longitude 0: where the vehicle is then.
+        deg, deg, m; latitude and longitude 0: the present place of the vehicle.
     """
 
     number: int
@@ -116,7 +116,7 @@ class MissionItem:
 
     @property
     def name(self) -> str:
-        """Number and command, as one says them."""
+        """Number and command, for display."""
         name = _NAMES.get(self.command, f"command {self.command}")
         return f"item {self.number} ({name})" if self.number >= 0 else f"added {name}"
 
@@ -125,7 +125,7 @@ class MissionItem:
 class LoggedMission:
     """The items that follow `home`, in their order; home is an item of the absolute frame.
 
-    `autopilot` is whose items they are, "ardupilot" or "px4": both read numbers of theirs in their own way.
+    `autopilot` is "ardupilot" or "px4", which interpret some parameters differently.
 
     Raises
     ------
@@ -146,7 +146,7 @@ class LoggedMission:
 
     @property
     def last(self) -> int:
-        """Index in `items` of the last one that moves the vehicle."""
+        """Index of the last item that moves the vehicle."""
         return max(k for k, item in enumerate(self.items) if item.flies)
 
 

@@ -1,14 +1,14 @@
 """Reads the mission that was flown from a log.
 
-ArduPilot logs CMD messages at the start and after each upload. Old firmwares also wrote CMD for each item that they
-began; such a message alone is no upload.
+ArduPilot logs CMD messages at the start and after each upload. Old firmwares also log CMD at the start of each item;
+such a single message is not an upload.
 
-PX4 logs no upload: an item that was not begun is unknown. ``navigator_mission_item`` has each item with a place when
-it begins (``mission_base.cpp``). Its place is a float32, and a double in ``position_setpoint_triplet``. An item without
-a place is a ``vehicle_command`` of the vehicle to itself (``MissionBlock::issue_command``).
+PX4 logs no upload, so items that were never begun are unknown. ``navigator_mission_item`` has each item with a place
+when it begins (``mission_base.cpp``). Its coordinates are float32, those in ``position_setpoint_triplet`` are double.
+An item without a place is a ``vehicle_command`` of the vehicle to itself (``MissionBlock::issue_command``).
 
-PX4 adds items of its own: a climb before the first place, a move above the place of a landing, and a wait or rest
-behind the last one. The climb and the move were flown, and stay; the wait is left out.
+PX4 adds items of its own. They are a climb before the first place, a move above the place of a landing, and a wait
+after the last item. The climb and the move were flown, and stay; the wait is left out.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ _NAMES: Final = ("CMD", "MODE", "EV", "ARM")
 _NUMBERS: Final = ("CTot", "CNum", "CId")
 _VALUES: Final = ("Prm1", "Prm2", "Prm3", "Prm4", "Lat", "Lng", "Alt")
 _AUTO: Final = 3
-"""ArduCopter's number of the mode that flies a mission."""
+"""ArduCopter's mode number of AUTO."""
 _HEAD: Final = 1 << 14
 _Upload = tuple[int, tuple[MissionItem, ...]]
-"""Where in the file it ends, and its items."""
+"""An upload: where in the file it ends, and its items."""
 
 
 def read_mission(path: Path | str) -> LoggedMission:
     """The mission that was flown: the last complete upload before the flight, else the first one of the log.
 
-    The flight begins where the motors were armed and the vehicle was in AUTO for the first time; without AUTO where
-    they were armed. Of PX4 it is what was begun.
+    The flight begins when the vehicle is first both armed and in AUTO, or, without AUTO, when it is armed. For PX4, the
+    mission consists of the items that were begun.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _readable(file: Path) -> Iterator[None]:
 
 
 def _opened(file: Path, head: bytes) -> Log:
-    """The log as tables, if it is one of ArduPilot's."""
+    """The log as tables, if it is from ArduPilot."""
     if head.startswith(b"\xa3\x95"):
         return DataFlash(file, _NAMES)
     if b"FMT," in head:
@@ -109,7 +109,7 @@ def _opened(file: Path, head: bytes) -> Log:
 
 
 def _uploads(table: Table) -> Iterator[_Upload]:
-    """Runs of the numbers 0, 1, ... up to the whole mission of at least one item behind home."""
+    """Runs of item numbers 0, 1, ... that make up a whole mission, with at least one item after home."""
     run: list[MissionItem] = []
     of = 0
     for total, item, place in _rows(table):
@@ -125,7 +125,7 @@ def _uploads(table: Table) -> Iterator[_Upload]:
 
 
 def _rows(table: Table) -> Iterator[tuple[int, MissionItem, int]]:
-    """Total, item, and where in the file it stands; logs without a frame count heights from home."""
+    """Total, item and file offset of each row; logs without a frame give heights above home."""
     numbers = zip(*(column.tolist() for column in table.columns(*_NUMBERS)), strict=True)
     values = table.arrays(_VALUES)[0].tolist()
     frames = table["Frame"].tolist() if "Frame" in table else [None] * len(values)
@@ -184,7 +184,7 @@ _SECOND: Final = 1_000_000
 _WAITS: Final = (NavCommand.WAYPOINT, NavCommand.LOITER_TIME)
 Topic = Mapping[str, NDArray[Any]]
 _Timed = tuple[int, int, MissionItem]
-"""Stamp, order at one stamp, item."""
+"""Time stamp, order within one stamp, item."""
 
 
 def _read_px4(file: Path) -> LoggedMission:
@@ -211,14 +211,14 @@ def _read_px4(file: Path) -> LoggedMission:
 
 
 def _rows_in_mission(topic: Topic, status: Topic) -> list[int]:
-    """Rows while it flew a mission."""
+    """Rows during a mission."""
     at = np.searchsorted(status["timestamp"], topic["timestamp"], side="right") - 1
     flying = (at >= 0) & (status["nav_state"][np.maximum(at, 0)] == _AUTO_MISSION)
     return [int(row) for row in np.flatnonzero(flying)]
 
 
 def _placed(topic: Topic, rows: list[int], places: Topic) -> list[_Timed]:
-    """Items with a place, each once."""
+    """Items with a place, without repetitions."""
     found: list[_Timed] = []
     for row, following in zip(rows, [*rows[1:], None], strict=True):
         if _added(topic, row, following, found):
@@ -232,7 +232,7 @@ def _placed(topic: Topic, rows: list[int], places: Topic) -> list[_Timed]:
 
 
 def _added(topic: Topic, row: int, following: int | None, found: list[_Timed]) -> bool:
-    """Whether it has no place, or is PX4's own and leads nowhere else."""
+    """Whether a row has no place, or is PX4's own item at a place already reached."""
     command, numbers = int(topic["nav_cmd"][row]), topic["sequence_current"]
     if command == _LOITER_TO_ALTITUDE:
         return following is not None and bool(numbers[following] == numbers[row])
@@ -260,7 +260,7 @@ def _item(topic: Topic, row: int, place: tuple[float, float]) -> MissionItem:
 
 
 def _exact(topic: Topic, row: int, places: Topic, stamp: int, until: int) -> tuple[float, float]:
-    """Its latitude and longitude as doubles if these were logged in its time, else its own float32 ones."""
+    """Latitude and longitude of an item: the doubles if logged while it was active, else its own float32 values."""
     latitude, longitude = topic["latitude"][row], topic["longitude"][row]
     if "current.lat" in places and "current.lon" in places:
         when = (places["timestamp"] >= stamp) & (places["timestamp"] < until)
@@ -272,7 +272,7 @@ def _exact(topic: Topic, row: int, places: Topic, stamp: int, until: int) -> tup
 
 
 def _rounds_to(exact: Any, rounded: Any) -> Any:
-    """Whether `rounded`, a float32, may be what is left of `exact`."""
+    """Whether `exact` rounds to `rounded`, a float32."""
     return np.abs(exact - float(rounded)) <= np.spacing(np.abs(np.float32(rounded)))
 
 
@@ -283,7 +283,7 @@ def _repeats(before: MissionItem, item: MissionItem) -> bool:
 
 
 def _commands(topic: Topic, status: Topic, begun: int) -> list[_Timed]:
-    """Items without a place, which come before one of the same instant."""
+    """Items without a place; they precede an item of the same time stamp."""
     own = ("from_external", "command", *(f"param{k}" for k in range(1, 8)))
     if any(name not in topic for name in own):
         return []
@@ -302,7 +302,7 @@ def _commands(topic: Topic, status: Topic, begun: int) -> list[_Timed]:
 
 
 def _home(topic: Topic, begin: int, end: int) -> MissionItem:
-    """Home while it flew: its altitude follows the receiver by a metre."""
+    """Home during the flight: the median, since its altitude follows the receiver within a metre."""
     when = (topic["timestamp"] >= begin) & (topic["timestamp"] <= end)
     rows = np.flatnonzero(when)
     if not len(rows):

@@ -1,4 +1,4 @@
-"""What goes over HTTP: dataclasses of the domain as they are (`wire`), and a model where the two differ.
+"""Models of HTTP: unchanged dataclasses of the domain (`wire`), and models where the two differ.
 
-A comment in such a model says in what. `views` makes the models.
+A comment in such a model states the difference. `views` makes the models.
 """

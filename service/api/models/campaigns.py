@@ -1,4 +1,4 @@
-"""Campaigns: what is asked of many vehicles or uploads, and what became of each."""
+"""Campaigns: requests for many vehicles or uploads, and the outcome of each."""
 
 from __future__ import annotations
 

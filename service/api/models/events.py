@@ -1,4 +1,4 @@
-"""What event streams carry: a message has the name of its event, and an event of a job has a kind."""
+"""Contents of event streams: a message has the name of its event, and an event of a job has a kind."""
 
 from __future__ import annotations
 

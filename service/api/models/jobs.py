@@ -1,4 +1,4 @@
-"""Jobs: what is asked of them, where they stand, and what came of them."""
+"""Jobs: requests, states and outcomes."""
 
 from __future__ import annotations
 

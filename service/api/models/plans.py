@@ -43,7 +43,7 @@ class PlanOptions(Request):
     )
 
     def given(self) -> Json:
-        """What was said, and nothing else."""
+        """Only the options that were given."""
         return self.model_dump(exclude_unset=True)
 
 

@@ -1,4 +1,4 @@
-"""Preflights: what is asked for, and what every check says."""
+"""Preflights: requests, and the results of the checks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class RestoreRequest(Request):
     mark_calibrated: bool = Field(default=True, description="ArduPilot: mark the sensors as calibrated")
 
     def given(self) -> Json:
-        """What was said, and nothing else."""
+        """Only the options that were given."""
         return self.model_dump(exclude_unset=True)
 
 

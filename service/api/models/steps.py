@@ -1,4 +1,4 @@
-"""What can be calibrated, and what a procedure says while it runs."""
+"""Procedures, and their steps while they run."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Wire:
 
 
 def _plain(part: Json) -> Json:
-    """A number that may be whole is a number, and a tuple of equals a list of fixed length."""
+    """The schema with integer-or-number as number, and a tuple of equal types as a list of fixed length."""
     match part:
         case {"anyOf": [*among]} if _NUMBER in among and _INTEGER in among:
             left = [kind for kind in among if kind != _INTEGER]
@@ -106,7 +106,7 @@ def _plain(part: Json) -> Json:
 
 @cache
 def _attribute_texts(module: str, name: str) -> Mapping[str, str]:
-    """What the docstrings of attributes say, as descriptions; nothing where the source is not at hand."""
+    """The docstrings of attributes, as descriptions; empty if the source is not available."""
     return {attribute: _description(text) for attribute, text in _attribute_docstrings(_class(module, name))}
 
 

@@ -49,10 +49,10 @@ from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 from mavcal.service.vehicle.job_vehicle import JobVehicle, read_values
 
 SILENT_S = 5.0
-"""Time without progress, wall seconds, after which a capture says that it waits for samples."""
+"""Time without progress after which a capture reports that it waits for samples, wall seconds."""
 WAITS = "; waiting for more samples of the vehicle"
 BATCH_S = 0.05
-"""Frames are digested at most so often, seconds of the wall clock."""
+"""Least time between two digests of frames, wall seconds."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Capture:
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
     foresee: Callable[[Identity, Mapping[str, Value]], Sequence[str]] = lambda _identity, _parameters: ()
-    """Makes the warnings that the parameters alone allow, before anything is asked of the operator."""
+    """Returns the warnings that follow from the parameters alone, before the operator has anything to do."""
     parameters: dict[str, Value] = field(default_factory=dict)
     """Parameters that the job rests on; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
@@ -182,7 +182,7 @@ class Capture:
                 raise CaptureEnded(outcome.cause, remedy=outcome.remedy)
 
     async def _reading(self, names: Sequence[str], digest: LiveDigest) -> None:
-        """Read what the vehicle rewrites by itself, so that no change goes unseen; answers go into the segment."""
+        """Read parameters that the vehicle rewrites by itself, for unnoticed changes; answers go into the segment."""
         asked_at = digest.last_time
         while names:
             await asyncio.sleep(BATCH_S)
@@ -230,7 +230,7 @@ class Capture:
             self.handle.move(state)
 
     async def _read_again(self, identity: Identity, watch: CaptureWatch) -> None:
-        """Read the calibration again: a change that was not heard would make the capture useless."""
+        """Read the calibration again, because an unnoticed change would make the capture useless."""
         prefixes = CALIBRATION_PREFIXES[identity.autopilot or ""]
         names = [name for name in self.parameters if name.startswith(prefixes)]
         progress = counting(self.handle, "reading the calibration again")

@@ -36,7 +36,7 @@ from mavcal.service.jobs.core.model import LogSpan
 from mavcal.service.jobs.core.segments import content_of
 
 POSITION_WAIT_S = 3.0
-"""A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""
+"""Time that a compass job waits for the vehicle's position, s of its clock: the Earth's field depends on it."""
 
 NO_KEYS: frozenset[Key] = frozenset()
 
@@ -91,7 +91,7 @@ class LiveDigest:
         self._kind, self._options, self._created_at = kind, options, created_at
         self._waiting: list[Recording] = []
         self._scheduled: list[OperatorAnswer] = []
-        """Answers of before a restart, for a procedure that has not begun."""
+        """Answers from before a restart, for a procedure that has not begun."""
         self._procedure = None if Sensor.MAG in specification(kind).sensors else create(kind, options, self._context())
         self.last_time = float("-inf")
         """Newest time stamp of an inertial sample, s on the vehicle's clock."""
@@ -146,7 +146,7 @@ class LiveDigest:
             self._procedure.schedule(given)
 
     def _begun(self) -> tuple[Step, ...]:
-        """Start a compass procedure once the position is known, or was waited for long enough."""
+        """Start a compass procedure once the position is known, or the wait for it is over."""
         spans = [chunk.span for chunk in self._waiting if chunk.channels]
         begun = min((s[0] for s in spans), default=self.last_time)
         field = next((f for f in (field_of(chunk, self._created_at) for chunk in self._waiting) if f), None)

@@ -22,8 +22,8 @@ from mavcal.service.store.sql import Store
 def verified_jobs(jobs: Iterable[Job], vehicle_id: str, identity: Identity) -> tuple[Job, ...]:
     """The jobs whose calibration was verified on this vehicle, oldest first.
 
-    A vehicle that has none may carry a new board: then those of the one other unit with its system id count, if there
-    is exactly one such unit. Their unique id tells that they are of another board.
+    A vehicle without any may carry a new board. If exactly one other unit has its system id, the jobs of that unit
+    count. Their unique id tells that they are of another board.
     """
     good = [job for job in jobs if job.state == JobState.SUCCEEDED and job.plan is not None and job.vehicle_id]
     good = [job for job in good if job.kind != RESTORE]  # which puts back what another job has verified
@@ -55,7 +55,7 @@ def _verified(job: Job, store: Store) -> VerifiedCalibration:
     parameters: Mapping[str, Value] = {} if kept is None else kept.body
     written = {change.name: change.new for change in job.plan.changes if not change.session}
     left = {**parameters, **written}
-    # as they stand afterwards: a plan may write ids, and its fingerprint is of before
+    # the values after the write: a plan may write ids, and its fingerprint is from before
     autopilot, stated = job.plan.fingerprint.autopilot, stated_device_ids(job)
     held = px4_sensor_ids(left, stated) if autopilot == "px4" else sensor_ids(autopilot, left)
     ids = {key_text(*key): device for key, device in held.items()}

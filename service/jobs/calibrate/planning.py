@@ -28,7 +28,7 @@ from mavcal.service.store.rows import SnapshotPurpose
 ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi"})
 """Jobs that write an accelerometer's calibration."""
 WITHOUT_ROW = "without_row"
-"""Where a job's context keeps them."""
+"""Key of a job's context for the sensors without a row, see :func:`keys_without_row`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Planned:
 
 
 def checked_plan_options(options: Mapping[str, Any], results: Sequence[FitResult] | None = None) -> dict[str, Any]:
-    """`options` if every one is known, of its kind, and names sensors among `results` (None: there are none yet).
+    """`options`, if all are known and valid, and name only sensors in `results` (None: no results yet).
 
     Raises InvalidInputError.
     """
@@ -93,9 +93,9 @@ def nothing_to_write(plan: WritePlan) -> Result:
 
 
 def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[int, float]:
-    """Temperature (degC) of the accelerometer calibration in force, by instance, where it is known.
+    """Temperature (degC) of the accelerometer calibration in force, by instance, where known.
 
-    From the newest accelerometer job of this vehicle, if every value that it wrote still stands.
+    It is that of the newest accelerometer job of this vehicle, if the vehicle still has every value written.
     """
     ours = [job for job in jobs if job.vehicle_id == vehicle_id and _of_accel(job) and job.plan is not None]
     written = [job for job in ours if job.state == JobState.SUCCEEDED]
@@ -114,9 +114,9 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
 
 
 def held_device_ids(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[Key, int]:
-    """Device ids that an earlier write to this vehicle was given, by sensor, where its rows still hold them.
+    """Device ids stated for an earlier write to this vehicle, by sensor, where its rows still hold them.
 
-    Without them the next job would take the rows by order again, and write into that of another sensor.
+    Without them the next job would take the rows in order, and might write into the row of another sensor.
     """
     found: dict[Key, int] = {}
     written = [job for job in jobs if job.vehicle_id == vehicle_id and job.state == JobState.SUCCEEDED]
@@ -191,7 +191,7 @@ def make_plan(
 
 
 def keys_without_row(context: Mapping[str, Any]) -> tuple[Key, ...]:
-    """The sensors that are in no row, as PX4 said in the capture of this job's context."""
+    """The sensors without a calibration row, by PX4's messages in this job's capture."""
     return tuple(parse_key(text) for text in context.get(WITHOUT_ROW, ()))
 
 

@@ -50,10 +50,10 @@ log = structlog.get_logger(__name__)
 REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
 """Kinds that need one rest and no poses: they begin again by themselves."""
 EARLY = frozenset({"thermal"})
-"""Kinds that do so only in their first minute: later, the temperatures that they have passed do not come back."""
+"""Kinds that begin again only in their first minute: later, the temperatures already passed do not come back."""
 EARLY_S = 60.0
 REPEATS = 3
-"""Repetitions at most; a vehicle that goes on calibrating is a reason to look at it."""
+"""Most repetitions; a vehicle that goes on calibrating needs attention."""
 KEPT = "What was recorded is kept and can be fitted later; start the job again."
 
 
@@ -167,7 +167,7 @@ class Runner:
             return await asyncio.to_thread(fit_segments, request)
 
     async def vehicle(self, handle: JobHandle) -> JobVehicle:
-        """The job's vehicle; waited for, since it may be heard later than the service starts."""
+        """The job's vehicle, waited for if it is not heard yet."""
         deadline = self.clock() + self.settings.return_limit_s
         while True:
             try:

@@ -16,7 +16,7 @@ from mavcal.service.jobs.core.settings import JobSettings
 from mavcal.service.vehicle.job_vehicle import Condition, JobVehicle
 
 HEARTBEATS_S = 3.0
-"""Without a heartbeat for so long a vehicle counts as silent."""
+"""Time without a heartbeat after which a vehicle counts as silent, s."""
 SLACK_S = 5.0
 """Error of the comparison between the vehicle's clock and ours: frames wait in buffers, the segment's end is not a
 sample's time."""

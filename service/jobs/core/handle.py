@@ -25,17 +25,17 @@ from mavcal.service.store.sql import Store
 log = structlog.get_logger(__name__)
 
 RETRY_S = 1.0
-"""Between two attempts to bring onto the disk what it has refused."""
+"""Time between two attempts to store what the disk has refused, s."""
 LAST_RETRY_S = 0.1
-"""Between two of them while the service ends."""
+"""Time between two such attempts while the service ends, s."""
 Publish = Callable[[EventRow], None]
 
 
 class JobHandle:
     """Holds a running job. A change is queued for the store when the call returns, and announced once it is stored.
 
-    The store keeps the order: what was changed before a step of the journal is on the disk before that step, and a step
-    is there before :meth:`record` returns. Nothing waits for the disk on the event loop.
+    The store keeps the order: changes made before a step of the journal are on the disk before it. A step is on the
+    disk before :meth:`record` returns. Nothing waits for the disk on the event loop.
     """
 
     def __init__(
@@ -55,12 +55,12 @@ class JobHandle:
         self._wall = wall
         self._clock = clock
         self.progress_s = progress_s
-        """Progress is announced at most so often."""
+        """Least time between two announcements of progress, s."""
         self._progress_due = 0.0
         self._owed: list[tuple[Job, str, Json]] = []
         """Changes that are not on the disk yet; belongs to the store's thread."""
         self._owed_steps: list[tuple[float, JournalStep, Json]] = []
-        """Steps of the journal that are not, likewise."""
+        """Steps of the journal that are not on the disk yet; belongs to the store's thread."""
         self._retrying = False
 
     @property
@@ -114,9 +114,9 @@ class JobHandle:
             self.change("warning", {"text": text}, warnings=(*self.job.warnings, text))
 
     def prompt(self, prompt: Prompt | None) -> None:
-        """Ask the operator something else, or nothing more; not durable, a restarted job asks again.
+        """Change or remove the operator's prompt. It is not stored: a restarted job asks again.
 
-        A job that has ended asks nothing: what still watches its vehicle is ended a moment later.
+        A job that has ended asks nothing, even while the watch of its vehicle is being ended.
         """
         if prompt != self.job.prompt and self.job.state not in ENDED:
             self.job = dataclasses.replace(self.job, prompt=prompt)
@@ -191,7 +191,7 @@ class JobHandle:
         self.store.soon(save)
 
     def _try_owed(self, loop: asyncio.AbstractEventLoop | None) -> None:
-        """In the store's thread: save what is owed; what is refused is tried again in a while."""
+        """Save what is owed, in the store's thread; refused changes are tried again later."""
         try:
             self._save_owed()
         except Exception as error:  # noqa: BLE001 - tried again with the next change, and after a while
@@ -211,7 +211,7 @@ class JobHandle:
             self.store.soon(partial(self._try_owed, loop))
 
     def _save_owed(self) -> None:
-        """In the store's thread: what could not be saved is tried again with every later change and step."""
+        """Save what could not be saved before, in the store's thread, with every later change and step."""
         while self._owed_steps:
             at, step, data = self._owed_steps[0]
             self.store.add_journal(self.id, at, step.value, data)

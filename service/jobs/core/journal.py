@@ -75,8 +75,8 @@ class Saved:
     def restarted_since(self, now: float, boot_time: float) -> bool:
         """Whether a vehicle that has run for `boot_time` seconds at `now` must have restarted meanwhile.
 
-        It says so only if it has run for less than before, or began after that moment for sure: the margin is for two
-        clocks that differ, and for a vehicle that starts its clock late.
+        True only if it has run for less time than before, or certainly started after that moment. The margin covers two
+        clocks that differ, and a vehicle that starts its clock late.
         """
         passed = now - self.at
         return boot_time < self.boot_time or boot_time < passed - max(RESTART_MARGIN_S, RESTART_MARGIN * passed)
@@ -103,11 +103,11 @@ class WriteRecord:
     stopped: str | None = None
     """Why the write stopped first; what came of that later does not replace it."""
     silent: bool = False
-    """All that was known then is that the vehicle was silent, as it is while it restarts."""
+    """Whether only the vehicle's silence was known then, as during a restart."""
     restarted: bool = False
-    """The vehicle was seen to restart in the middle, not by us."""
+    """Whether the vehicle was seen to restart during the write, not by our command."""
     interrupted: bool = False
-    """The service itself ended in the middle, and nobody listened for a while."""
+    """Whether the service itself ended during the write, so that nobody listened for a while."""
     intervals: Mapping[int, int] = field(default_factory=dict)
     """Message intervals to be restored, microseconds by message id."""
 
@@ -135,7 +135,7 @@ def fold(rows: Iterable[JournalRow]) -> WriteRecord:
 
 
 def _after(record: WriteRecord, step: JournalStep, data: Mapping[str, Any]) -> WriteRecord:
-    """The record with what one more row says; a snapshot and an announced command change nothing in it."""
+    """The record after one more row; a snapshot or an announced command changes nothing in it."""
     match step:
         case JournalStep.ACCEPTED:  # a new transaction; the message rates of the one before may be owed still
             return WriteRecord(accepted=True, intervals=record.intervals)

@@ -53,7 +53,7 @@ def sensors_of(results: Iterable[FitResult]) -> set[Sensor]:
 async def require_absent(
     vehicle: JobVehicle, job: Job, composed_on: Mapping[str, Value], progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Ask again for what the vehicle did not have when `composed_on` was read: on a bad link silence may deceive.
+    """Ask again for parameters absent when `composed_on` was read: on a bad link silence may be loss.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class JobRecord(Protocol):
     """Keeps a record beside the jobs; it fails without harm to them."""
 
     def job_ended(self, job: Job) -> None:
-        """A job's task is over, whatever came of it."""
+        """Called when a job's task is over, whatever its outcome."""
 
     async def keep_preflight(self, found: Preflight) -> Preflight:
         """The report as it is sent, with a note if it could not be kept."""

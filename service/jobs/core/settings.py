@@ -20,11 +20,11 @@ class JobSettings:
     save_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"ardupilot": 1.2, "px4": 3.0}))
     """The same before a restart: what was written must be saved then, and what rewrites it is looked for afterwards."""
     settle_least_s: float = 0.3
-    """But never less than this on our clock: a PARAM_SET may still be under way."""
+    """Least such time on our clock, s: a PARAM_SET may still be under way."""
     check_s: float = 3.0
     """Length of the stream windows before and after a write, seconds of the vehicle's clock."""
     observe_s: float = 20.0
-    """How long a check that saw no sensor at rest, or finds one wrong, goes on looking; the vehicle's clock."""
+    """How much longer a check lasts that saw no sensor at rest, or finds one wrong; by the vehicle's clock."""
     window_timeout_s: float = 20.0
     """How long such a window may take."""
     measure_s: float = 2.0
@@ -40,12 +40,12 @@ class JobSettings:
     operator_reboot_s: float = 1800.0
     """How long the operator has to restart the vehicle."""
     same_boot_s: float = 3.0
-    """How long the vehicle's clock is waited for before a failure is held to be none of a restart."""
+    """How long the vehicle's clock is awaited before a failure is taken as not due to a restart."""
     busy_s: float = 60.0
     """How long a job or a write waits for a calibration that the vehicle runs by itself, say after its start."""
     started_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"px4": 10.0}))
-    """So long after its start, by its own clock, a vehicle is not calibrated: PX4 calibrates its gyros by itself in its
-    first seconds and says nothing of it (FLIGHT_CONTROLLERS 10)."""
+    """Time after its start, by its own clock, during which a vehicle is not calibrated. PX4 silently calibrates its
+    gyros in its first seconds (FLIGHT_CONTROLLERS 10)."""
     stall_s: float = 30.0
     """How long a capture waits for inertial data while the vehicle's heartbeat is there."""
     review_s: float = 10.0
@@ -55,12 +55,12 @@ class JobSettings:
     watch_s: float = 0.1
     """Period of the look at preconditions while something is under way."""
     retry_s: float = 2.0
-    """Between two attempts to resolve a job in doubt."""
+    """Time between two attempts to resolve a job in doubt."""
     last_save_s: float = 5.0
     """How long a service that ends tries to save what its store has refused."""
     fits_at_once: int = 8
-    """Fits of uploads that ask for a process at a time: uploads that are read need some as well."""
+    """Most fits of uploads at a time; reading uploads needs processes as well."""
     diagnoses_at_once: int = 1
-    """The same of gap diagnoses, so that fits find a free process."""
+    """Most gap diagnoses at a time, so that fits find a free process."""
     progress_s: float = 0.5
-    """Between two progress events of a job."""
+    """Least time between two progress events of a job."""

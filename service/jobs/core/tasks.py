@@ -67,8 +67,8 @@ class JobTasks:
     async def _supervised(self, handle: JobHandle, work: Work) -> None:
         """Run a job's work; whatever breaks, a job that is not at an end is never left without a task.
 
-        A job has a second task while the first still looks at the vehicle after a write and an operator takes the
-        write back: the first then leaves the job alone.
+        A job has a second task if an operator takes a write back while the first still checks the vehicle after it. The
+        first then leaves the job alone.
         """
         pause = 0.0
         while True:

@@ -37,8 +37,9 @@ class Acceptance:
     async def known(self, key: str | None, digest: str, job: Callable[[], Job]) -> bool:
         """Whether this request was accepted before, and its write was done or is under way.
 
-        A key is bound to what was done, not to what was asked: a write that ended without a single PARAM_SET is back
-        in review, and its key is free again. Otherwise a client that names its accept by the plan could never retry.
+        A key is bound to what was done, not to what was requested. A write that ended without a single PARAM_SET is
+        back in review, and its key is free again. Otherwise a client that names its accept by the plan could never
+        retry.
 
         Parameters
         ----------

@@ -27,10 +27,10 @@ class Settling(StrEnum):
     """A phrase for what is waited for before values are read back."""
 
     SAVED = "waiting until the vehicle has saved"
-    """Before a restart, which also ends whatever could rewrite a value later."""
+    """Until all is saved, before a restart; the restart ends whatever could rewrite a value later."""
     KEPT = "waiting until the vehicle has saved and nothing rewrites the values"
     RESTARTED = "waiting until the vehicle has started and nothing rewrites the values"
-    """Nothing waits to be saved; what rewrites a value does so as long after the start as after a write."""
+    """Until possible rewrites after a restart; nothing is left to be saved."""
 
 
 @dataclass
@@ -46,7 +46,7 @@ class WriteContext:
     reach: CrashPoint = no_crash
     guard: WriteGuard = field(init=False)
     heard: dict[str, Value] = field(init=False, default_factory=dict)
-    """Values heard since the last PARAM_SET of each name; not proof, a late echo may be among them."""
+    """Values heard since the last PARAM_SET of each name; no proof, since a late echo may be among them."""
 
     def __post_init__(self) -> None:
         self.guard = WriteGuard(self.vehicle, self.settings.watch_s)

@@ -22,17 +22,17 @@ from mavcal.service.vehicle.job_vehicle import Condition, JobVehicle
 T = TypeVar("T")
 HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
 _TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
-"""Messages that can say at once that a write has to stop."""
+"""Messages that can show at once that a write has to stop."""
 STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown, LeaseLost)
-"""Errors after which nothing more may be sent, be it to take something back."""
+"""Errors after which nothing more may be sent, not even to undo a change."""
 RESTARTED = "the vehicle restarted by itself"
 
 
 class WriteGuard:
     """Stops whatever runs under it as soon as the vehicle may not be written to.
 
-    It remembers who the vehicle was and how often it had restarted, armed, fallen silent and calibrated when the guard
-    was set up: what came and went while the event loop was busy stops a write too.
+    When set up, it stores the vehicle's identity and its counts of restarts, armings, silences and calibrations. Events
+    that came and went while the event loop was busy therefore stop a write too.
     """
 
     def __init__(self, vehicle: JobVehicle, watch_s: float) -> None:
@@ -66,7 +66,7 @@ class WriteGuard:
         return self._meanwhile(now) or "; ".join(now.obstacles) or None
 
     def _elsewhere(self, now: Condition) -> bool:
-        """Whether it speaks from another address on the same link; another link is another way to the same unit."""
+        """Whether it sends from another address on the same link; another link is merely another way to the unit."""
         return self._peers.setdefault(now.way, now.peer) != now.peer
 
     def _meanwhile(self, now: Condition) -> str | None:

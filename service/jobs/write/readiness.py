@@ -14,13 +14,13 @@ from mavcal.service.preflights import History, Preflights
 from mavcal.service.vehicle.job_vehicle import VehicleSource
 
 READINESS = "readiness"
-"""Where a job's context keeps it."""
+"""Key of the readiness in a job's context."""
 
 
 async def keep_readiness(handle: JobHandle, vehicles: VehicleSource, preflights: Preflights, history: History) -> None:
     """Run a preflight after a successful write, and keep its result in the job.
 
-    Whoever begins something with the vehicle meanwhile goes first; what the write has reached stands either way.
+    Any other use of the vehicle meanwhile has priority; the result of the write stands either way.
     """
     if handle.job.state != JobState.SUCCEEDED:
         return

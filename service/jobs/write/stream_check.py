@@ -38,11 +38,11 @@ from mavcal.service.vehicle.job_vehicle import JobVehicle
 FINISH = "finish"
 INERTIAL = (Sensor.ACCEL, Sensor.GYRO)
 STEP_S = 2.0
-"""A movement is judged again after so much more of the vehicle's time."""
+"""Vehicle time between two judgements of a movement, s."""
 POLL_S = 0.02
 ATTITUDE_HZ = 10.0
 PROVING_S = 4.0
-"""Time that a prompt asks a pose to be held, s: two looks."""
+"""Time that a prompt asks a pose to be held, s: two such steps."""
 RESTS_WITHIN = 0.6
 """Standard deviation of an accelerometer's axis over a second below which a hand holds the vehicle still, m/s2."""
 HOLD_STILL = Prompt(
@@ -200,7 +200,7 @@ class StreamCheck:
         found = await asyncio.to_thread(verify, self.plan, fits, then, now, parameters=known)
         if self.handle.job.kind != RESTORE:
             return found
-        # without fits nothing says what the sensors should read, but that they are at rest
+        # without fits the expected readings are unknown, except that the sensors are at rest
         return dataclasses.replace(found, sensors=(*found.sensors, *sensors_at_rest(self.plan, now)))
 
     @property

@@ -69,7 +69,7 @@ class Transaction:
     attempt: Callable[[], WriteContext]
     retry_s: float
     _guard: WriteGuard | None = None
-    """That of the last attempt: it remembers how the vehicle was."""
+    """Guard of the last attempt, with the vehicle's state at that time."""
 
     async def apply(self) -> None:
         """Write the plan. The job is applying; it ends succeeded or reverted, or in review if nothing was sent."""

@@ -15,9 +15,9 @@ SEA_LEVEL_KELVIN = 288.15
 LAPSE = 0.0065
 """International standard atmosphere (ISO 2533)."""
 _BLOCK = 4096
-"""Random numbers drawn at once. Chosen: numpy's call costs as much as a hundred numbers."""
+"""Random numbers drawn at once. Chosen: a call of numpy costs as much as a hundred numbers."""
 GUST_VERTICAL = 0.5
-"""Vertical gusts by horizontal ones. Chosen, not measured: near the ground they are the smaller ones."""
+"""Ratio of vertical to horizontal gusts. Chosen, not measured: near the ground vertical gusts are smaller."""
 
 
 def temperature(altitude: float) -> float:
@@ -82,14 +82,14 @@ class Wind:
 
 _CHARGE = (0.0, 0.1, 0.2, 0.5, 0.9, 1.0)
 _OPEN_CIRCUIT = (0.72, 0.83, 0.86, 0.905, 0.965, 1.0)
-"""Open-circuit voltage by that of a full pack, over the charge that is left. Chosen, not measured: a lithium polymer
-pack's shape, flat in the middle."""
+"""Open-circuit voltage relative to a full pack, against the remaining charge. Chosen, not measured: the curve of a
+lithium polymer pack, flat in the middle."""
 _VOLTAGE_FILTER_HZ = 10.0
 """``SIM_Battery.cpp``."""
 
 
 class Battery:
-    """Terminal voltage: SIM_BATT_VOLTAGE where there is no capacity, else the open circuit's less I R."""
+    """Terminal voltage: SIM_BATT_VOLTAGE without a capacity, else the open-circuit voltage less I R."""
 
     def __init__(self, frame: Frame, parameters: FlightParameters) -> None:
         self._capacity = frame.battery_capacity

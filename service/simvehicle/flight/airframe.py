@@ -20,9 +20,9 @@ from mavcal.service.simvehicle.flight.frame import GRAVITY, YAW_PER_THRUST, Fram
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 _TURN_DAMPING = math.radians(400.0)
-"""By refRotRate: the angular damping that is not of the rotors (``SIM_Frame.cpp``)."""
+"""Angular damping apart from the rotors', per refRotRate (``SIM_Frame.cpp``)."""
 LEGS_M = 0.15
-"""Height of the rotors when it stands. Chosen: legs of a vehicle of SITL's default size."""
+"""Height of the rotors on the ground, m. Chosen: legs of a vehicle of SITL's default size."""
 Quaternion = tuple[float, float, float, float]
 
 
@@ -36,7 +36,7 @@ class Airframe:
         self.velocity = [0.0, 0.0, 0.0]
         self.rate = [0.0, 0.0, 0.0]
         self.force: Vector = (0.0, 0.0, -GRAVITY)
-        """Specific force in body axes, m/s2: what an ideal accelerometer at the centre of mass reads."""
+        """Specific force in body axes, m/s2: reading of an ideal accelerometer at the centre of mass."""
         self.on_ground = True
         self.drives = [0.0] * len(rotors)
         self.current = 0.0
@@ -140,7 +140,7 @@ class Airframe:
             self._rest()
 
     def _ground_effect(self) -> float:
-        """Thrust at the present height over that far from the ground."""
+        """Ratio of the thrust at the present height to the thrust far from the ground."""
         near = self._frame.ground_radius / (4.0 * (LEGS_M - self.place[2]))
         return 1.0 / (1.0 - near * near)
 

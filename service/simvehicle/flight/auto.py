@@ -14,7 +14,7 @@ from mavcal.service.simvehicle.flight.modes import CLOSE_ENOUGH, landing_climb, 
 from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 _BRAKING = 1.0
-"""m/s2 of slowing down towards a place. Chosen: below WPNAV_ACCEL, so that it does not overshoot."""
+"""Deceleration towards a place, m/s2. Chosen: below WPNAV_ACCEL, so that it does not overshoot."""
 _TURN_BEYOND_M = 3.0
 """Distance to a place within which the heading is kept."""
 _HEIGHT_OFF_M = 0.7
@@ -30,7 +30,7 @@ class AutoFlight:
         self.state = MissionState.NO_MISSION
         self.reached: Callable[[int], None] = lambda _number: None
         self.yaw: float | None = None
-        """Heading that is wanted, rad; None: the present one."""
+        """Desired heading, rad; None: the present one."""
         self._target: list[float] | None = None  # north, east, height
         self._waited = 0.0
         self._speed = 0.0
@@ -142,7 +142,7 @@ class AutoFlight:
         self._begin(self.current + 1)
 
     def _begin(self, number: int) -> None:
-        """The item of that number, or the next one that is not done at once; hold after the last one."""
+        """Begin the item of that number, or the next one that is not done at once; hold after the last one."""
         self._waited, self._over = 0.0, False
         while number < len(self.items):
             item = self.items[number]

@@ -21,9 +21,9 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 _CENTI = math.radians(0.01)
 _RATE_MOST = math.radians(220.0)
-"""Of a shaped target. Chosen, not measured: below the 360 deg/s of acro."""
+"""Highest rate of a shaped target. Chosen, not measured: below the 360 deg/s of acro."""
 _FILTER_HZ = 20.0
-"""Of the wanted rate and of the slope: ATC_RAT_RLL_FLTT, ATC_RAT_RLL_FLTD."""
+"""Filters of the desired rate and of its derivative: ATC_RAT_RLL_FLTT, ATC_RAT_RLL_FLTD."""
 _I_MOST = 0.25
 _CLIMB_I = 1.0
 """PSC_ACCZ_I."""
@@ -31,7 +31,7 @@ _CLIMB_I_MOST = 5.0
 """m/s2; PSC_ACCZ_IMAX 800 cm/s2, less what would saturate the throttle."""
 _SIDE_I_MOST = 3.0
 _HOVER_TAU = 10.0
-"""Of MOT_HOVER_LEARN (``AP_MotorsMulticopter.cpp``)."""
+"""Time constant of MOT_HOVER_LEARN (``AP_MotorsMulticopter.cpp``)."""
 _HOVER_LIMITS = (0.125, 0.6875)
 _SIDE_JERK = 15.0
 """PSC_JERK_XY."""
@@ -135,7 +135,7 @@ class Controller:
         self.outputs = (0.0, 0.0, 0.0)
 
     def lifted_off(self) -> None:
-        """Go on with the throttle that lifted the vehicle off."""
+        """Continue with the throttle at lift-off."""
         self._climb_integral = min(max((self.throttle / self.hover - 1.0) * GRAVITY, -_CLIMB_I_MOST), _CLIMB_I_MOST)
         self.climb_target = 0.0
 
@@ -177,7 +177,7 @@ class Controller:
             self.hover = min(max(self.hover, _HOVER_LIMITS[0]), _HOVER_LIMITS[1])
 
     def hold_attitude(self, euler: Vector, gyro: Vector, *, limited: bool, dt: float) -> None:
-        """Rates that bring the attitude to the wanted one, and the mixer's inputs that bring these rates."""
+        """Rates towards the desired attitude, and the mixer inputs for these rates."""
         angles, slopes = [], []
         for shape, wanted, is_, p, most in zip(
             self.shapes, self.attitude, euler, self._angle_p, self._angle_accel, strict=True
@@ -242,7 +242,7 @@ class Mixer:
         self.lift_max = (1.0 - self._expo) * self.ratio + self._expo * self.ratio * self.ratio
 
     def idle(self, share: float) -> list[int]:
-        """Pulses of motors that turn without lift: a `share` of MOT_SPIN_ARM."""
+        """Pulses of idling motors: a `share` of MOT_SPIN_ARM."""
         low, high = self._pwm
         return [int(low + (high - low) * self._spin[0] * share)] * len(self._factors)
 
@@ -257,7 +257,7 @@ class Mixer:
         return [self._pulse(one) for one in th]
 
     def _within(self, roll: float, pitch: float, yaw: float, throttle: float) -> list[float]:
-        """Outputs within their limits: roll and pitch first, then yaw, then the throttle nearest to the wanted one."""
+        """Outputs within their limits: roll and pitch first, then yaw, then the throttle closest to the desired one."""
         tilt = [roll * rf + pitch * pf for rf, pf, _ in self._factors]
         tilt_scale = min(1.0, (1.0 - _YAW_ROOM) / max(max(tilt) - min(tilt), 1e-9))
         room = max(1.0 - tilt_scale * (max(tilt) - min(tilt)), _YAW_ROOM)

@@ -18,12 +18,12 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 ACCEL_NOISE, GYRO_NOISE = 0.0058, 0.0004
 """Standard deviations of a raw sample, m/s2 and rad/s: those of SITL's uniform noise of +-0.01 and +-0.0007. More gyro
-noise comes back through the controller, and biases whoever fits torque to commands."""
+noise would feed back through the controller, and bias a fit of torque to commands."""
 VELOCITY_ERROR, PLACE_ERROR, TILT_ERROR, HEADING_ERROR = 0.02, 0.1, 0.0007, 0.004
 """Standard deviations of the estimate, m/s, m, rad. Chosen: those of SITL's estimator in calm flight, where its
 velocity is 0.02 to 0.05 m/s off."""
 _ERROR_TAU = 4.0
-"""How fast these errors wander, s. Chosen, not measured."""
+"""Time constant of these errors, s. Chosen, not measured."""
 
 
 class LowPass:
@@ -116,7 +116,7 @@ class Wander:
 
 
 class Estimate:
-    """Attitude, velocity and place of `airframe` as the estimator has them. World north east down, body to world."""
+    """Estimated attitude, velocity and position of `airframe`. World north east down, body to world."""
 
     def __init__(self, airframe: Airframe, noise: Noise) -> None:
         self._airframe = airframe
@@ -150,7 +150,7 @@ _METRES_PER_DEGREE = 111_319.5
 
 
 def degrees_from_metres(latitude: float, longitude: float, north: float, east: float) -> tuple[float, float]:
-    """Latitude and longitude so far north and east of a place; flat, as far as one flies here."""
+    """Latitude and longitude at an offset north and east of a place, on a flat Earth."""
     return (
         latitude + north / _METRES_PER_DEGREE,
         longitude + east / (_METRES_PER_DEGREE * math.cos(math.radians(latitude))),

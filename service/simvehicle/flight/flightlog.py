@@ -21,7 +21,7 @@ _LETTERS: Mapping[str, str] = {
     "c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "M": "B", "q": "q", "Q": "Q",
 }  # fmt: skip
 _SCALED: Mapping[str, float] = {"c": 100.0, "C": 100.0, "e": 100.0, "E": 100.0, "L": 1e7}
-"""Letters of whole hundredths (of degrees, metres ...) and ten-millionths."""
+"""Format letters of scaled integers: hundredths (of degrees, metres ...) and ten-millionths."""
 _TEXTS = "nNZ"
 
 
@@ -102,7 +102,7 @@ MESSAGES = (
 )  # fmt: skip
 
 SECOND_IMU, ESTIMATOR, HOUSEKEEPING, POSITIONING = 10, 16, 40, 80
-"""Every so many loops: 40, 25, 10 and 5 Hz."""
+"""Number of loops between two messages: 40, 25, 10 and 5 Hz."""
 FIELD_MGAUSS = (230.0, 55.0, -525.0)
 """North east down, near SITL's usual home."""
 GPS_WEEK, GPS_START_MS = 2446, 96_000_000
@@ -114,7 +114,7 @@ _AVERAGE_MOST = 0.1
 
 
 class FlightLog:
-    """Writes what falls due after each loop."""
+    """Writes the messages due after each loop."""
 
     def __init__(self, path: Path) -> None:
         self._out = DataFlashWriter(path, MESSAGES)
@@ -158,7 +158,7 @@ class FlightLog:
             self._out.flush()
 
     def loop(self, vehicle: FlyingVehicle) -> None:
-        """Log what is due after a main loop."""
+        """Log the messages due after a main loop."""
         us, k = vehicle.time_us, self._loop
         self._loop += 1
         self._rate(us, vehicle)

@@ -1,6 +1,6 @@
 """The flying vehicle's side of MAVLink: what ArduCopter in GUIDED and AUTO answers, and streams once it is asked.
 
-Streams and arming, modes, targets and missions only; what is not known is UNSUPPORTED or ignored in silence.
+It covers streams, arming, modes, targets and missions. Anything else is UNSUPPORTED or silently ignored.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _CAPABILITIES = (
     | dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
 )
 _VERSION = 4 << 24 | 7 << 16
-""""4.7.0-dev", whose behaviour it has."""
+"""The simulated version: 4.7.0-dev."""
 
 
 class MissionLink:
@@ -330,7 +330,7 @@ class GroundLink:
         return dialect.MAVLink_heartbeat_message(quad, ardupilot, mode, int(vehicle.mode), status, 3)
 
     def _version(self) -> Any:
-        """On no board, as SITL says it."""
+        """AUTOPILOT_VERSION without a board, as from SITL."""
         zero = [0] * 8
         return dialect.MAVLink_autopilot_version_message(_CAPABILITIES, _VERSION, 0, 0, 0, zero, zero, zero, 0, 0, 0)
 

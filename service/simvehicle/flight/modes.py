@@ -1,4 +1,4 @@
-"""Flight modes, what GUIDED follows, what a vehicle tells its log, and climb rates of take-off and landing.
+"""Flight modes, setpoints of GUIDED, the interface of the log, and climb rates of take-off and landing.
 
 Climb rates are in m/s upwards.
 """
@@ -14,10 +14,10 @@ from mavcal.service.simvehicle.flight.parameters import FlightParameters
 
 LOOP_HZ = 400
 CLOSE_ENOUGH = 0.3
-"""m below the height that was asked for."""
+"""Distance below the requested height at which a take-off ends, m."""
 _TAKEOFF_CLIMB = 2.0
 _LANDING_FAST = 1.5
-"""m/s, above LAND_ALT_LOW."""
+"""Descent above LAND_ALT_LOW, m/s."""
 
 
 class Mode(IntEnum):
@@ -45,7 +45,7 @@ class Log(Protocol):
         """Log the boot."""
 
     def loop(self, vehicle: Any) -> None:
-        """Log what is due after a main loop."""
+        """Log the messages due after a main loop."""
 
     def text(self, us: int, text: str) -> None:
         """Log a message in words."""

@@ -30,7 +30,7 @@ _SIMULATOR: Mapping[str, float] = {
     "SIM_OPOS_HDG": 0, "SIM_OPOS_LAT": -35.363261, "SIM_OPOS_LNG": 149.16523, "SIM_SPEEDUP": 1,
     "SIM_WIND_DIR": 180, "SIM_WIND_SPD": 0, "SIM_WIND_T": 1, "SIM_WIND_TC": 5, "SIM_WIND_TURB": 0,
 }  # fmt: skip
-"""SITL's names. The wind is the same at all heights, which SITL does with SIM_WIND_T 1 only."""
+"""SITL's names and defaults. The wind is the same at all heights, as in SITL only with SIM_WIND_T 1."""
 DEFAULTS: Mapping[str, float] = {
     **_FIRMWARE,
     **{f"SERVO{n}_FUNCTION": 32 + n for n in range(1, 5)},
@@ -91,7 +91,7 @@ class FlightParameters:
 def load_parameters(path: str | Path) -> dict[str, float]:
     """Parameters of a file with `NAME VALUE` or `NAME,VALUE` lines; # begins a comment.
 
-    Names that this vehicle has not are kept, listed and without effect, as a firmware's own would be.
+    Names unknown to this vehicle are kept and listed, without effect, like a firmware's own.
 
     Raises ConfigurationError naming the broken line.
     """

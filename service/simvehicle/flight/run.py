@@ -24,7 +24,7 @@ SLICE = 8
 """Loops between two looks at the link: 20 ms of vehicle time."""
 _WAIT_S = 0.2
 _BEHIND_S = 0.5
-"""A process that fell behind further than that, wall seconds, does not catch up."""
+"""Delay beyond which a process does not catch up, wall seconds."""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""The flying vehicle: a loop of 2.5 ms that reads the sensors, controls, logs and lets the physics go on."""
+"""The flying vehicle: a loop of 2.5 ms that reads the sensors, controls, logs and advances the physics."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ SUBSTEPS = 2
 """Physics and sensors at 800 Hz: the fastest thing that is simulated, a filter of 20 Hz, is 40 times slower."""
 DT = 1.0 / LOOP_HZ
 NAVIGATION = 4
-"""Velocity and climb are controlled every so many loops."""
+"""Number of loops between two steps of velocity and climb control."""
 _WANDER_EVERY = 4
 _SPOOL_S = 0.5
 """MOT_SPOOL_TIME."""
 _LIFT_PER_S = 0.5
-"""How fast the throttle rises until the vehicle lifts off."""
+"""Rise of the throttle before lift-off, 1/s."""
 _LANDED_S = 1.0
 _SHAKEN = 1.0
-"""SIM_WIND_TURB from which a vehicle on the ground takes its shaking for flight. Measured: ArduCopter's SITL stayed
-armed for a minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
+"""SIM_WIND_TURB from which shaking on the ground passes for flight. Measured: ArduCopter's SITL stayed armed for a
+minute after it had landed at 8 m/s with SIM_WIND_TURB 1."""
 ATTITUDE_CLIMB_MIDDLE = 0.5
 """Thrust of SET_ATTITUDE_TARGET that holds the height: ArduCopter takes it as a climb rate."""
 READY_S = 5.0
-"""When the position estimate is good enough for arming. Chosen: SITL takes some seconds more."""
+"""Time from which the position estimate is good enough for arming, s. Chosen: SITL takes some seconds more."""
 
 
 class FlyingVehicle:
     """One vehicle in vehicle time; :meth:`loop` is its main loop.
 
-    `frame` and `parameters` say how it flies, `log` takes what it logs, `say` its texts (severity, text).
+    `frame` and `parameters` determine how it flies; `log` takes its log messages, `say` its texts (severity, text).
     """
 
     def __init__(self, frame: Frame, parameters: FlightParameters, log: Log, *, seed: int = 1) -> None:

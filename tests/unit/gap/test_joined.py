@@ -105,7 +105,7 @@ def test_without_an_airframe_what_every_unit_feels_is_no_sensors() -> None:
     assert (after.verdict, after.effects, after.airframe) == (GapVerdict.NOT_TESTABLE, (), None)
     assert [w.channel for w in after.where] == ["mag.x"]
     (said,) = after.warnings
-    assert said.startswith("not a sensor's: accel_noise; the units feel it alike")
+    assert said.startswith("not a sensor's: accel_noise; all units show it alike in flight")
     own = units(REST + air, REST + noise(3, 0.02))
     assert [e.id for e in joined(of_noise(air), gone, own).effects] == ["accel_noise"]
 
@@ -242,7 +242,7 @@ def test_a_scale_that_gravity_at_rest_contradicts_is_no_gap_and_says_so() -> Non
     after = joined(report(scale), answer(wind()), real)
     assert [e.id for e in after.effects] == ["wind"]
     (said,) = after.warnings
-    assert said == "accel_scale of unit 2 is no gap: gravity at rest does not read as it would with it"
+    assert said == "accel_scale of unit 2 is no gap: the readings of gravity at rest contradict it"
 
 
 def test_noise_that_both_units_feel_becomes_turbulence() -> None:

@@ -1,4 +1,4 @@
-"""Effects of the airframe as settings of simulators: all at once, so that one setting takes nothing back of another."""
+"""Effects of the airframe as settings of simulators, solved together so that no setting undoes another."""
 
 from mavcal.calib.gap.export.airframe.patch import Patch, airframe_effects, airframe_patch, own_patches
 

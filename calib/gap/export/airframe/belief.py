@@ -1,4 +1,4 @@
-"""What the vehicle's firmware believes of its airframe, set to what the flight shows (AIRFRAME 4.1)."""
+"""Parameters of the firmware's airframe model, set to the values that the flight shows (AIRFRAME 4.1)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ WHILE_DISARMED = "set the thrust curve and the hover thrust while disarmed only"
 
 @dataclass(frozen=True)
 class _Belief:
-    """Parameters that hold a number of the airframe: `of` makes their value of the real one, within `limits`.
+    """Parameters that hold an airframe value: `of` converts the real value, within `limits`.
 
-    `used` are parameters of which one must not be 0, else the firmware does not use them.
+    One of the parameters `used` must not be 0, else the firmware ignores them.
     """
 
     effect: str
@@ -63,9 +63,9 @@ _BELIEFS: Mapping[str, tuple[_Belief, ...]] = {
 def belief_changes(
     effects: Iterable[EffectEstimate], autopilot: str, parameters: Mapping[str, Value]
 ) -> tuple[tuple[Change, ...], tuple[str, ...]]:
-    """Changes to `parameters` of the vehicle, and in words what is left as it is.
+    """Changes to `parameters` of the vehicle, and notes on what stays unchanged.
 
-    A value that the firmware has already, within its standard deviation, is no change.
+    A value within its standard deviation of the firmware's is not changed.
     """
     changes: list[Change] = []
     left: list[str] = []

@@ -1,8 +1,8 @@
-"""The frame of ArduPilot's simulated multicopter: its file, and the physics that its keys stand for (AIRFRAME 4.1).
+"""The frame of ArduPilot's simulated multicopter: its file, and the physics behind its keys (AIRFRAME 4.1).
 
-The keys are not the physics. The thrust at full command over mass is ``g / hoverThrOut``. The rotors' drag is
-``mdrag_coef sqrt(density disc_area T)``. What is left of a reference flight's drag (``refSpd``, ``refAngle``) is the
-body's. Hence one key moves several effects, and a wanted set of effects is solved for all keys at once.
+A key is not one physical quantity. The thrust at full command over mass is ``g / hoverThrOut``. The rotors' drag is
+``mdrag_coef sqrt(density disc_area T)``. The rest of a reference flight's drag (``refSpd``, ``refAngle``) is that of
+the body. One key therefore changes several effects, and all keys are solved together for a wanted set of effects.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ DEFAULTS: Mapping[str, float] = {
     "spin_max": 0.95,
     "slew_max": 150.0,
 }
-"""What the simulator has where its file says nothing. Source: ArduPilot's SIM_Frame.h, 4.7."""
+"""Values of the simulator for keys missing in its file. Source: ArduPilot's SIM_Frame.h, 4.7."""
 PARAMETERS: Mapping[str, str] = {
     "mass": "SIM_FRM_MASS",
     "mdrag_coef": "SIM_FRM_MDRAG",
@@ -56,7 +56,7 @@ PARAMETERS: Mapping[str, str] = {
 OWN_DAMPING = math.radians(400.0)
 """Own damping times ``refRotRate``, rad/s times deg/s. Source: ArduPilot's SIM_Frame.cpp."""
 PULSE_ZERO = 1000.0
-"""Pulse, us, about which SIM_ENGINE_MUL multiplies. Source: ArduPilot's SITL_State.cpp."""
+"""Pulse, us, that SIM_ENGINE_MUL leaves unchanged. Source: ArduPilot's SITL_State.cpp."""
 _LAPSE, _TEMPERATURE, _POWER, _SEA_LEVEL = 0.0065, 288.15, 4.2559, 1.225
 """Fall of the temperature, K/m, its value at sea level, K, the power of density, and density there, kg/m3. Source:
 standard atmosphere of 1976."""
@@ -64,7 +64,7 @@ standard atmosphere of 1976."""
 
 @dataclass(frozen=True)
 class Frame:
-    """Every key of a frame with a value; `motors` are those that its file or the geometry places."""
+    """Every key of a frame with a value; `motors` are those with a position in its file or in the geometry."""
 
     keys: Mapping[str, float]
     inertia: tuple[float, float, float]
@@ -75,7 +75,7 @@ class Frame:
 
     @property
     def arm(self) -> float:
-        """The longest arm, m: the simulator takes the whole of ``diagonal_size`` for it."""
+        """The longest arm, m: the simulator uses the whole of ``diagonal_size`` as its length."""
         return max((math.hypot(m.position[0], m.position[1]) for m in self.motors), default=self["diagonal_size"])
 
     @property
@@ -85,7 +85,7 @@ class Frame:
 
     @property
     def momentum(self) -> float:
-        """Drag of the rotors in the reference flight over its speed, N s/m."""
+        """Rotor drag in the reference flight over its speed, N s/m."""
         cosine = math.cos(math.radians(self["refAngle"]))
         pull = self["mass"] * STANDARD_GRAVITY / cosine
         air = density_of(self["refAlt"]) * self["disc_area"]
@@ -98,7 +98,7 @@ class Frame:
 
     @property
     def mdrag(self) -> float:
-        """``mdrag_coef`` as it acts: cut where the rotors alone would drag more than the reference flight."""
+        """Effective ``mdrag_coef``: limited where the rotors alone would exceed the drag of the reference flight."""
         most, drag = self.reference_drag, self.momentum * self["refSpd"]
         return self["mdrag_coef"] * (most / drag if drag > most else 1.0)
 
@@ -110,13 +110,13 @@ class Frame:
 
     @property
     def rotor_drag(self) -> float:
-        """c_1, 1/s, at hover and the reference density: the same along all axes."""
+        """Linear rotor drag c_1, 1/s, at hover and the reference density; the same along all axes."""
         air = density_of(self["refAlt"]) * self["disc_area"]
         return self.mdrag * math.sqrt(air * STANDARD_GRAVITY / self["mass"])
 
     @property
     def rotor_damping(self) -> Array:
-        """Damping (3,), 1/s, at hover, by the drag of rotors that move with their arms (AIRFRAME 8)."""
+        """Damping (3,), 1/s, at hover, from the drag of the rotors as their arms move (AIRFRAME 8)."""
         return np.asarray(self.rotor_drag * self["mass"] * self._spread() / np.array(self.inertia))
 
     @property
@@ -129,7 +129,7 @@ class Frame:
         return self["hoverThrOut"] * (self["maxVoltage"] / voltage) ** 2
 
     def _spread(self) -> Array:
-        """Mean square of the distance of the motors from each axis (3,), m2; a ring where nothing places them."""
+        """Mean square distance (3,) of the motors from each axis, m2; on a ring if their positions are unknown."""
         if not self.motors:
             half = 0.5 * self["diagonal_size"] ** 2
             return np.array([half, half, 2.0 * half])
@@ -139,7 +139,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameMotor:
-    """Place, m, forward right down, and yaw factor (+1: torque about +z; 0: not known) of a motor."""
+    """Position, m, forward right down, and yaw factor (+1: torque about +z; 0: not known) of a motor."""
 
     position: tuple[float, float, float]
     yaw: float
@@ -177,9 +177,9 @@ def frame_of(file: Mapping[str, Any] | None, simulator: Mapping[str, float], geo
     file
         Keys of its file; None: the stock frame.
     simulator
-        Parameters of its log: SIM_FRM_* go before the file.
+        Parameters of its log; SIM_FRM_* override the file.
     geometry
-        Places its motors where the file does not; None: they are not known.
+        Gives motor positions that the file lacks; None: unknown.
 
     Raises
     ------

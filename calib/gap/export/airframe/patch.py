@@ -1,4 +1,4 @@
-"""The settings of a simulator that make the airframe's effects of a report, together and each effect's own part."""
+"""Settings of a simulator that reproduce the airframe effects of a report: for all effects together, and for each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MILLIAMPERE_HOURS = 1e-3
 
 @dataclass(frozen=True)
 class Patch:
-    """Keys of the simulator's frame file, parameters to load, in words what they cannot hold, and what to mind."""
+    """Keys of the simulator's frame file, parameters to load, notes on what they cannot represent, and advice."""
 
     frame_json: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -29,7 +29,7 @@ class Patch:
 
 
 def airframe_effects(effects: Iterable[EffectEstimate]) -> tuple[EffectEstimate, ...]:
-    """Those of the airframe: what the air did on the day is no setting of a vehicle."""
+    """The effects of the airframe, without those of the day's air, which are not settings of a vehicle."""
     return tuple(e for e in effects if e.domain is Domain.AIRFRAME)
 
 
@@ -87,7 +87,7 @@ def airframe_patch(
 
 
 def _of_mass(effects: Iterable[EffectEstimate], mass: float | None) -> Iterator[str]:
-    """Which of thrust and mass a thrust scale was found to be."""
+    """Note on whether a thrust scale was found to be thrust or mass."""
     for effect in effects:
         if effect.forms:
             cause, chance = max(effect.forms.items(), key=lambda form: form[1])
@@ -104,9 +104,9 @@ def own_patches(
     mass: float | None = None,
     vehicle: Mapping[str, float] | None = None,
 ) -> tuple[Mapping[str, Any], ...]:
-    """``sim_patch`` of each of `effects`: its part of :func:`airframe_patch` of all, so that they do not contradict.
+    """``sim_patch`` of each of `effects`: its part of :func:`airframe_patch` of all, so that they are consistent.
 
-    A key that several effects move has the value for all of them in each; so have those that a stated `mass` moves.
+    A key that several effects change has its common value in each, and so have those that a stated `mass` changes.
     """
     whole = airframe_patch(effects, simulator, frame, geometry=geometry, mass=mass, vehicle=vehicle)
     found: list[Mapping[str, Any]] = []

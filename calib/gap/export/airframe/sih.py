@@ -35,16 +35,17 @@ REASONS: Mapping[str, str] = {
     "battery_sag": "SIH's battery does not touch the thrust",
     "payload_step": "SIH_MASS can be set in flight; a file cannot say when",
 }
-"""What the simulator has nothing for. Source: AIRFRAME 4.2."""
+"""Why the simulator cannot represent an effect. Source: AIRFRAME 4.2."""
 _INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
 _CROSS = (("SIH_IXY", "SIH_IYY"), ("SIH_IXZ", "SIH_IZZ"), ("SIH_IYZ", "SIH_IZZ"))
 """Each product of inertia and the moment of its second axis."""
 _ALIKE = 0.02
-"""Part of a damping up to which axes count as alike. Chosen, not measured: below what flights tell (AIRFRAME 6)."""
+"""Relative difference of damping up to which axes count as equal. Chosen, not measured: below the resolution of flights
+(AIRFRAME 6)."""
 _SAME = 1e-9
-"""Relative difference up to which a setting is the simulator's own. Source: rounding of double numbers."""
+"""Relative difference up to which a setting equals the simulator's. Source: rounding of double numbers."""
 _LAG_ALIKE = 0.001
-"""Difference, s, up to which two time constants are one. Chosen, not measured: a third of what flights tell
+"""Difference, s, up to which two time constants are equal. Chosen, not measured: a third of the resolution of flights
 (AIRFRAME 6)."""
 
 
@@ -71,7 +72,7 @@ def sih_settings(wanted: Wanted, simulator: Mapping[str, float], *, mass: float 
 
 
 def _damper(wanted: Wanted, made: Settings) -> float:
-    """One ratio for all axes: the mean of those that are wanted."""
+    """Damping ratio for all axes: the mean of the wanted ones."""
     needed = {axis: ratio for axis, ratio in zip("xyz", wanted.damping, strict=True) if ratio is not None}
     if not needed:
         return 1.0
@@ -85,7 +86,7 @@ def _damper(wanted: Wanted, made: Settings) -> float:
 
 
 def _lag(before: Mapping[str, float], wanted: Wanted, made: Settings) -> float:
-    """One time constant for both directions; a rate limit is none."""
+    """Time constant for both directions; a rate limit cannot be represented."""
     if wanted.slew is not None:
         made.lost.append("motor_lag: SIH has a time constant and no limit of the rate")
     if wanted.lag is None:

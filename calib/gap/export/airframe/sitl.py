@@ -18,21 +18,22 @@ REASONS: Mapping[str, str] = {
     "translational_lift": "SITL has no translational lift",
     "payload_step": "SITL's frame keeps its mass in flight; SIM_SLUP_* is a load on a line",
 }
-"""What the simulator has nothing for. Source: AIRFRAME 4.1."""
+"""Why the simulator cannot represent an effect. Source: AIRFRAME 4.1."""
 _MASK_BITS = 32
 """Outputs that SIM_ENGINE_FAIL can name. Source: ArduPilot's SITL_State.cpp, a 32-bit mask."""
 _LASTING = 3_600_000.0
-"""Time, ms, that stands for a torque without end. Chosen, not measured: longer than a flight."""
+"""Duration, ms, of a permanent torque. Chosen, not measured: longer than a flight."""
 _ALIKE = 0.02
-"""Part of an axis' damping up to which axes count as alike. Chosen, not measured: below what flights tell (AIRFRAME 6).
+"""Relative difference of damping up to which axes count as equal. Chosen, not measured: below the resolution of flights
+(AIRFRAME 6).
 """
 _SAME = 1e-9
-"""Relative difference up to which a setting is the simulator's own. Source: rounding of double numbers."""
+"""Relative difference up to which a setting equals the simulator's. Source: rounding of double numbers."""
 
 
 @dataclass
 class Settings:
-    """What has been set so far: keys of the frame, parameters, and in words what they cannot hold and what to mind."""
+    """Settings so far: keys of the frame, parameters, notes on what they cannot represent, and advice."""
 
     frame: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
@@ -135,7 +136,7 @@ def _inertia(target: Frame, frame: Frame, wanted: Wanted, made: Settings) -> Fra
 
 
 def _battery(target: Frame, wanted: Wanted, capacity: float | None, made: Settings) -> Frame:
-    """A battery that falls more: less charge and more resistance; one that does not fall gets that of the vehicle."""
+    """A battery with more voltage sag: less charge and more resistance; one without sag gets the vehicle's capacity."""
     if not wanted.sags:
         return target
     present = target["battCapacityAh"]
@@ -176,7 +177,7 @@ def _moved(motor: FrameMotor, ahead: float, right: float, yaw: float) -> FrameMo
 
 
 def _damping(target: Frame, frame: Frame, wanted: Wanted, made: Settings) -> Frame:
-    """What the rotors do not damp is left to ``refRotRate``, one number for all axes."""
+    """Damping beyond that of the rotors, by ``refRotRate``, one number for all axes."""
     if all(ratio is None for ratio in wanted.damping):
         return target
     rotors = target.rotor_damping
@@ -248,7 +249,7 @@ def _pulse(frame: Frame, command: float) -> float:
 
 
 def _voltage(frame: Frame, simulator: Mapping[str, float]) -> float:
-    """Of a battery that does not fall; a falling one is taken as full."""
+    """Voltage of a constant battery, V; one with sag is taken as full."""
     stated = simulator.get("SIM_BATT_VOLTAGE", 0.0)
     return stated if stated > 0.0 and frame["battCapacityAh"] <= 0.0 else frame["maxVoltage"]
 
@@ -271,7 +272,7 @@ def _lag(wanted: Wanted, made: Settings) -> None:
 
 
 def _write(made: Settings, target: Frame, frame: Frame, simulator: Mapping[str, float]) -> None:
-    """What differs from the simulator as it is; a key that is a parameter of its log becomes one."""
+    """Add the differences from the present simulator; keys with a parameter in its log become that parameter."""
     for key, value in target.keys.items():
         if abs(value - frame[key]) <= _SAME * abs(frame[key]):
             continue
@@ -292,7 +293,7 @@ def _write(made: Settings, target: Frame, frame: Frame, simulator: Mapping[str, 
 
 
 def _rounded(value: float) -> float:
-    """To the digits that the simulator's float32 keeps."""
+    """`value` rounded to the digits of the simulator's float32."""
     return float(f"{value:.8g}")
 
 

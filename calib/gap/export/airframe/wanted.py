@@ -1,6 +1,6 @@
-"""What the airframe's effects of a report ask of a simulator, whichever it is: ratios, and what is to be added.
+"""Changes that the airframe effects of a report require of any simulator: ratios and differences.
 
-A ratio is real by simulated. A simulator's setting is its present one times the ratio, so that neither its quirks nor
+A ratio is real over simulated. A simulator's setting is its present one times the ratio, so that neither its quirks nor
 a bias that both flights share matter (AIRFRAME 5.11).
 """
 
@@ -28,19 +28,16 @@ _EVEN = 0.5
 
 @dataclass(frozen=True)
 class Wanted:
-    """Ratios are 1 and what is to be added is 0 where nothing is asked.
+    """Required ratios (1: no change) and differences (0: no change).
 
-    Each is the effect's own, beside what follows from the others: a weaker thrust turns the vehicle less as well, and
-    the rotors' drag and the inertia change the damping.
-
-    `light` is by how much a lighter vehicle accelerates more, at the simulator's mass; `rotor_drag` has its root, since
-    rotors that carry less turn more slowly.
-
-    `lag` are the time constants up and down, s, to be added; `slew` the limit of the command's rate, 1/s, itself.
-    `weak` has the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in
-    rad/s2. `damping` is the ratio of an axis' damping, None where nothing is asked of it. `sag` is the
-    ratio of the voltage's fall; `sags` whether anything is asked of the battery. `products` of inertia (xy, xz, yz)
-    over the moment of the second axis are to be added. `refused` says what cannot be used.
+    Each is the effect's own part, without what follows from the others. Weaker thrust, for example, also turns the
+    vehicle less, and rotor drag and inertia change the damping. `light` is the acceleration ratio of a lighter vehicle,
+    at the simulator's mass. `rotor_drag` contains its root, since rotors that carry less turn more slowly. `lag` are
+    differences of the time constants up and down, s; `slew` is the rate limit of the command itself, 1/s. `weak` has
+    the thrust ratio at the hover command by motor (from 1), `cg` is forward and right in arms, `torque` in rad/s2.
+    `damping` is the ratio of an axis' damping, None: no change. `sag` is the ratio of the voltage sag; `sags` tells
+    whether the battery changes. `products` of inertia (xy, xz, yz) over the moment of the second axis are to be added.
+    `refused` says what cannot be used.
     """
 
     thrust: float = 1.0
@@ -63,7 +60,7 @@ class Wanted:
 
 
 def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
-    """What `effects` (of the airframe) ask; others among them ask nothing."""
+    """Changes that the airframe effects among `effects` require."""
     reader = _Reader(tuple(effects))
     thrust = reader.ratio("thrust_scale", "s")
     # a lighter vehicle at its own mass: all accelerations by it, the rotors' drag by its root, and turns as before
@@ -96,7 +93,7 @@ def wanted_of(effects: Iterable[EffectEstimate]) -> Wanted:
 
 
 def missing(effects: Iterable[EffectEstimate], reasons: Mapping[str, str]) -> tuple[str, ...]:
-    """In words, those of `effects` that a simulator has nothing for; `reasons` by effect id."""
+    """Notes on those of `effects` that a simulator cannot represent; `reasons` by effect id."""
     found = []
     for effect in effects:
         if effect.id in reasons or effect.id not in _READ:
@@ -105,7 +102,7 @@ def missing(effects: Iterable[EffectEstimate], reasons: Mapping[str, str]) -> tu
 
 
 def ratio_of(parameter: ParameterEstimate) -> float | None:
-    """Real by simulated; None where it is no positive number, which no simulator can have."""
+    """Ratio real over simulated; None unless positive."""
     found = parameter.ratio if parameter.ratio is not None else 1.0 + parameter.value
     return found if math.isfinite(found) and found > 0.0 else None
 
@@ -146,12 +143,12 @@ class _Reader:
         return 0.0 if found is None else found.value
 
     def lag(self) -> tuple[float, float] | None:
-        """Up and down; one that is not told apart is that of both."""
+        """Lags up and down; equal if not estimated separately."""
         told = [name for name in ("tau_up", "tau_down") if self.has("motor_lag", name)]
         return (self.added("motor_lag", told[0]), self.added("motor_lag", told[-1])) if told else None
 
     def real(self, effect_id: str, name: str) -> float | None:
-        """The real value: a simulator's own may be one that its flight cannot show, as a limit never reached."""
+        """The real value; the simulator's own may be unobservable in its flight, such as a limit never reached."""
         found = self._parameter(effect_id, name)
         if found is None:
             return None
