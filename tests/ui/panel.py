@@ -80,13 +80,13 @@ class Panel:
         self.page: Page = self.context.new_page()
         self.complaints: list[str] = []
         self.asked: list[str] = []
-        self.page.on("console", lambda m: self._said(m.type, m.text))
+        self.page.on("console", lambda m: self._said(m.type, m.text, m.location.get("url", "")))
         self.page.on("pageerror", lambda e: self.complaints.append(str(e)))
         self.page.on("request", lambda r: self.asked.append(r.url))
 
-    def _said(self, kind: str, text: str) -> None:
+    def _said(self, kind: str, text: str, about: str) -> None:
         if kind in {"error", "warning"} and not any(known in text for known in NOISE):
-            self.complaints.append(text)
+            self.complaints.append(f"{about}: {text}")
 
     def open(self, url: str, place: str = "") -> None:
         self.page.goto(f"{url}{place}")
