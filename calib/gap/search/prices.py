@@ -91,8 +91,9 @@ FLIGHT_SECOND_ORDER_SHARE = 0.01
 Unit: share of the largest gain. Source: chosen in development, seeds not recorded.
 """
 ENTRY_SHARE = 0.3
-"""Share below which an effect does not enter the model. Unit: share of that least gain. Source: chosen in development,
-seeds not recorded.
+"""Share below which an effect does not enter the model.
+
+Unit: share of that least gain. Source: chosen in development, seeds not recorded.
 """
 OTHER_SENSOR_SHARE = 3e-5
 """Share below which an effect on another sensor counts as an error of the reference.
