@@ -137,7 +137,8 @@ class JobEngine:
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
         await settle_lost_write(handle, reason)
-        await self._transactions.of(handle).resolve()
+        async with self._rates.turn(handle):
+            await self._transactions.of(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
         state, kind = handle.job.state, handle.job.kind
@@ -446,7 +447,8 @@ class JobEngine:
     async def _capture(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
         await self._rates.before_capture(admission.require_vehicle(handle.job))
-        await self._runner.calibrate(handle)
+        async with self._rates.turn(handle):
+            await self._runner.calibrate(handle)
 
     async def _write(self, handle: JobHandle, look: History | None) -> None:
         """A write, once no other message rates are being returned: it needs those of its capture.
@@ -454,7 +456,8 @@ class JobEngine:
         `look`: what is known of the vehicle, with which it is looked at afterwards; None: it is not.
         """
         await self._rates.before_write(handle)
-        await self._transactions.of(handle).apply()
+        async with self._rates.turn(handle):
+            await self._transactions.of(handle).apply()
         if look is not None:
             await keep_readiness(handle, self._vehicles, self._preflights, look)
 

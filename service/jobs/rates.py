@@ -87,6 +87,7 @@ class JobRates:
     ) -> None:
         self._ledgers = ledgers
         self._vehicle, self._review_s, self._ending_tasks = vehicle, review_s, ending_tasks
+        self._turns: dict[str, asyncio.Lock] = {}
 
     @property
     def tasks(self) -> set[asyncio.Task[Any]]:
@@ -98,6 +99,13 @@ class JobRates:
         if handle.write_record().intervals:
             ledger = self._ledgers.of(require_vehicle(handle.job))
             ledger.begin_return(RateUser.JOB, self._return(handle), owner=handle.id)
+
+    def turn(self, handle: JobHandle) -> asyncio.Lock:
+        """Lock of whoever sets the rates of the job's vehicle: a capture, a write or its recovery, or a return.
+
+        At a start a job that is over may still owe rates to a vehicle on which a write is recovered.
+        """
+        return self._turns.setdefault(require_vehicle(handle.job), asyncio.Lock())
 
     async def all_returned(self) -> None:
         """Wait until every job that is over has returned its rates."""
@@ -148,7 +156,9 @@ class JobRates:
             with suppress(TimeoutError):
                 async with asyncio.timeout(self._review_s):  # no wait_for: that of Python 3.11 can lose a cancellation
                     await self._ledgers.of(require_vehicle(handle.job)).wait_for_hurry()
-        await return_streams(handle, await self._vehicle(handle))
+        vehicle = await self._vehicle(handle)
+        async with self.turn(handle):
+            await return_streams(handle, vehicle)
 
 
 def with_present_vehicles(jobs: Iterable[Job], vehicles: VehicleSource) -> Iterator[Job]:

@@ -109,7 +109,7 @@ class ArduPilotCommands:
 
     def _get_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
         self._vehicle.send(channel, self._messages.interval(channel, int(p[0])))
-        return ACCEPTED
+        return ACCEPTED if int(p[0]) in self._messages.builders else FAILED
 
     def _request_message(self, channel: MavlinkChannel, p: Parameters) -> int | None:
         if int(p[0]) == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:

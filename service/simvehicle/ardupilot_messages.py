@@ -187,6 +187,8 @@ class ArduPilotMessages(AutopilotMessages[ArduPilotReadings]):
             dialect.MAVLINK_MSG_ID_HEARTBEAT: _of_instant(vehicle.heartbeat),
             **{k: _of_instant(builder) for k, builder in momentary.items()},
         }
+        if not sensors.world.config.highres:
+            del self.builders[dialect.MAVLINK_MSG_ID_HIGHRES_IMU]
 
     def readings(self, times: list[float]) -> ArduPilotReadings:
         """See AutopilotMessages."""

@@ -63,6 +63,7 @@ class VehicleConfig:
     mag_angles_deg: tuple[tuple[float, float, float] | None, ...] = ()
     mag_external: tuple[bool, ...] = (False, True, False)
     board_orientation: int = 0
+    highres: bool = True  # False: ArduPilot up to 4.5, which has no HIGHRES_IMU and refuses every interval of it
     highres_mag_defect: bool = True  # ArduPilot 4.7-dev before 2026-02 multiplies by 1000 instead of dividing
     sitl: bool = False  # PX4: the simulator build refuses to reboot and knows no TC_* module
     calibration: Calibration = Calibration.EARLIER

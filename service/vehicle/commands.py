@@ -14,6 +14,8 @@ from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenComma
 from mavcal.service.vehicle.exchange import Addressee
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS, CANCELLED = range(7)
+REFUSED = (DENIED, UNSUPPORTED, FAILED)
+"""Results that another attempt does not change."""
 _RESULTS = {
     TEMPORARILY_REJECTED: "temporarily rejected: the vehicle is busy or armed; try again later",
     DENIED: "denied: it can not do this with these arguments, or not in its present state",

@@ -117,11 +117,12 @@ class StreamReport:
         vehicle = self.vehicle.unit
         ledger, way = vehicle.rates, vehicle.way
         await ledger.followed()
+        before = ledger.before_us(way, self.previous)
         try:
-            results = await set_intervals(vehicle, ledger.before_us(way, self.previous))
+            results = await set_intervals(vehicle, before)
         except (VehicleError, LinkError):
             return tuple(self.previous)
-        failed = tuple(message_id for message_id, result in results.items() if result != commands.ACCEPTED)
+        failed = tuple(key for key, result in results.items() if not _is_restored(before[key], result))
         left = ledger.note_restored(way, tuple(key for key in self.previous if key not in failed))
         for link in vehicle.links:
             for message_id, interval in left.get(link.id, {}).items():
@@ -343,6 +344,14 @@ async def follow(vehicle: Vehicle) -> None:
             await set_interval(vehicle, message_id, interval)
         except (VehicleError, LinkError):
             continue  # a stream that does not come shows where it is needed
+
+
+def _is_restored(before_us: int, result: int | None) -> bool:
+    """Whether an interval is what it was, by the answer to its request.
+
+    A vehicle that refuses its own default has no such message (HIGHRES_IMU of ArduPilot 4.5): there is none to restore.
+    """
+    return result == commands.ACCEPTED or (before_us == DEFAULT_INTERVAL and result in commands.REFUSED)
 
 
 def _interval_us(rate: float) -> float:

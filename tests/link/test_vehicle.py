@@ -20,6 +20,7 @@ from mavcal.service.link.types import LinkState
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 from mavcal.service.vehicle.identity import Autopilot
+from mavcal.service.vehicle.job_vehicle import JobVehicle
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.state import Landed
 from mavcal.service.vehicle.streams import request_streams
@@ -111,6 +112,18 @@ async def test_px4_with_its_integers_hash_and_unlisted_names(ground: Ground) -> 
         assert report.rates[27].result == 4
         assert report.missing == (27,)
         assert await report.restore() == ()
+
+
+async def test_a_message_that_the_vehicle_does_not_have_is_not_owed_for_ever(ground: Ground) -> None:
+    """ArduPilot 4.5 refuses every interval of HIGHRES_IMU, its default too; a journal that named it was never done."""
+    with simulated(config={"highres": False}) as sim:
+        vehicle = await ground.vehicle(sim.url)
+        job_vehicle = JobVehicle(vehicle)
+        before = await job_vehicle.intervals([27, 105])
+        assert before == {27: -1, 105: 0}
+        await job_vehicle.request_streams({27: 50.0, 105: 50.0}, measure_s=0.0, before=before)
+        await job_vehicle.set_intervals(before)
+        assert await job_vehicle.intervals([27, 105]) == before
 
 
 async def test_streams_are_measured_in_vehicle_time_and_restored(ground: Ground) -> None:

@@ -164,6 +164,23 @@ async def test_a_write_that_stays_in_doubt_does_not_keep_the_others_for_ever(veh
         await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
 
 
+async def test_rates_of_an_earlier_job_are_returned_after_the_recovery_on_its_vehicle(vehicle: FakeVehicle) -> None:
+    vehicle.change_state(armed=True)
+    write = reviewed(vehicle, state=JobState.APPLYING)
+    owing = bare(JobState.FAILED, id="j0", vehicle_id=write.vehicle_id)
+    store = kept(vehicle, owing, write)
+    sent_one(store, vehicle, write)
+    store.add_journal("j0", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
+    async with started(store, vehicle, settings=replace(QUICK, recovery_alone_s=0.01)) as engine:
+        await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
+        await until(lambda: bool(engine._rates.tasks))
+        await asyncio.sleep(0.02)
+        assert vehicle.message_intervals == {}
+        vehicle.change_state(armed=False)
+        await until(lambda: vehicle.message_intervals == {27: 4000})
+        assert engine.get("j1").state == JobState.REVERTED
+
+
 async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicle: FakeVehicle) -> None:
     first, second = bare(JobState.RUNNING), bare(JobState.RUNNING, id="j2", created_at=2.0)
     capturing = Idle()

@@ -113,6 +113,16 @@ async def test_another_jobs_capture_and_write_do_not_wait_for_the_accept(changed
     assert changed.put_back
 
 
+async def test_what_an_earlier_job_owes_waits_for_the_recovered_write_of_another(changed: Changed) -> None:
+    """A return in the middle of the check took the samples away: "the vehicle sends no inertial data"."""
+    owing, recovered = await changed.asked("first", JobState.FAILED), changed.job("second", JobState.IN_DOUBT)
+    async with changed.rates.turn(recovered):
+        changed.rates.begin_return(owing)
+        await asyncio.sleep(0.01)
+        assert not changed.put_back
+    await until(lambda: changed.put_back)
+
+
 async def test_a_job_that_changed_nothing_leaves_nothing_to_do(changed: Changed) -> None:
     changed.rates.begin_return(changed.job("one"))
     assert changed.rates.tasks == set()
