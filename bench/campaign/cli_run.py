@@ -89,7 +89,7 @@ def run_cli_kill(kill: CliKill) -> KillReport:
 
 def _outcome(kill: CliKill) -> tuple[Ending, tuple[str, ...], str]:
     scene = SCENES[kill.scene]
-    config = {"thermal": False, "parameters": dict(scene.parameters)}
+    config = {"thermal": False, "parameters": dict(scene.parameters), "highres": kill.index % 2 == 0}
     with (
         tempfile.TemporaryDirectory(prefix="mavcal-campaign-") as folder,
         SimulatedVehicle(

@@ -183,7 +183,7 @@ class _KillRun:
 
     def outcome(self) -> tuple[Ending, tuple[str, ...]]:
         scene = self._kill.scenery
-        config = {"thermal": False, "parameters": dict(scene.parameters)}
+        config = {"thermal": False, "parameters": dict(scene.parameters), "highres": self._kill.index % 2 == 0}
         links = ["udpout"] * (2 if scene.moves else 1)
         seed = self._kill.seed * 10_000 + 5_000 + self._kill.index
         with (

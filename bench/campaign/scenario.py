@@ -152,7 +152,8 @@ def _resolved(draw: random.Random, recipe: str, strikes: Iterable[Strike]) -> bo
 def _config(draw: random.Random, autopilot: str) -> Json:
     """Without drift with temperature; without the autopilot's own gyro calibration, mostly."""
     parameters = {"INS_GYR_CAL": 0} if autopilot == "ardupilot" else {"IMU_GYRO_CAL_EN": int(draw.random() < 0.2)}
-    return {"thermal": False, "parameters": parameters, "boot_s": draw.choice((3.0, 20.0, 90.0))}
+    old = autopilot == "ardupilot" and draw.random() < 0.5  # ArduPilot up to 4.5
+    return {"thermal": False, "parameters": parameters, "boot_s": draw.choice((3.0, 20.0, 90.0)), "highres": not old}
 
 
 # --- recipes
