@@ -257,6 +257,8 @@ class VerifiedCalibration:
     """Every calibration parameter as it stood afterwards."""
     temperatures: Mapping[int, float] = field(default_factory=dict)
     """Temperatures of the accelerometers' calibration, degC, by instance."""
+    heard: frozenset[int] = frozenset()
+    """Device ids of the sensors that sent samples then; PX4 also keeps ids of sensors that are not there."""
     uid: str | None = None
     """Unique id of the autopilot; None: not known."""
     stated: Mapping[tuple[Sensor, int], int] = field(default_factory=dict)

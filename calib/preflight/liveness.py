@@ -161,8 +161,8 @@ def _count(found: Census, kind: Sensor) -> str:
 
 
 def _was_installed(snapshot: Snapshot, one: Announced) -> bool:
-    """Whether the sensor was certainly present: by the firmware's own row, or by a verified calibration."""
-    return one.kept or any(one.device in entry.device_ids.values() for entry in snapshot.history)
+    """Whether the sensor was certainly present: by the firmware's own row, or heard in a verified calibration."""
+    return one.kept or any(one.device in entry.heard for entry in snapshot.history)
 
 
 def _absent(recording: Recording, key: Key, rows: int, count: int) -> str:

@@ -18,6 +18,9 @@ from mavcal.service.jobs.core.states import JobState
 from mavcal.service.store.rows import SnapshotPurpose
 from mavcal.service.store.sql import Store
 
+_SENT_WITH = dict.fromkeys((Sensor.ACCEL, Sensor.GYRO), (Sensor.ACCEL, Sensor.GYRO))
+"""Sensors whose samples come in one message."""
+
 
 def verified_jobs(jobs: Iterable[Job], vehicle_id: str, identity: Identity) -> tuple[Job, ...]:
     """The jobs whose calibration was verified on this vehicle, oldest first.
@@ -59,6 +62,7 @@ def _verified(job: Job, store: Store) -> VerifiedCalibration:
     autopilot, stated = job.plan.fingerprint.autopilot, stated_device_ids(job)
     held = px4_sensor_ids(left, stated) if autopilot == "px4" else sensor_ids(autopilot, left)
     ids = {key_text(*key): device for key, device in held.items()}
+    heard = {(sensor, fit.instance) for fit in job.results for sensor in _SENT_WITH.get(fit.sensor, (fit.sensor,))}
     accels = [fit for fit in job.results if fit.sensor == Sensor.ACCEL and fit.temperature is not None]
     return VerifiedCalibration(
         job=job.id,
@@ -67,6 +71,7 @@ def _verified(job: Job, store: Store) -> VerifiedCalibration:
         device_ids=ids or dict(job.plan.fingerprint.device_ids),
         parameters=left,
         temperatures={fit.instance: fit.temperature for fit in accels if fit.temperature is not None},
+        heard=frozenset(ids[name] for name in (key_text(*key) for key in heard) if name in ids),
         uid=job.plan.fingerprint.uid or None,
         stated=stated,
     )

@@ -228,7 +228,7 @@ def healthy(seed: int, *, redundant: bool = False) -> BenchVehicle:
         [rotation(rng, GLUED * 3.0) for _ in range(mags)],
         temperatures,
         parameters,
-        VerifiedCalibration("job", then, sensors, ids, dict(parameters), at, "0badcafe"),
+        VerifiedCalibration("job", then, sensors, ids, dict(parameters), at, frozenset(ids.values()), "0badcafe"),
         noises={
             sensor: np.exp(quiet.uniform(np.log(low), np.log(high), count)).tolist()
             for sensor, (low, high, count) in noises.items()

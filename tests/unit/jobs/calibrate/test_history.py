@@ -91,6 +91,21 @@ def test_what_a_job_left_is_what_was_read_and_what_was_written() -> None:
     assert left.temperatures == {1: 31.5}
 
 
+def test_of_the_rows_of_px4_only_those_of_sensors_that_sent_samples_were_heard() -> None:
+    store = SqliteStore(None)
+    store.save_job(JobRow("j", "v1", "gyro", "succeeded", 0.0, 1.0, {}))
+    rows = {
+        f"CAL_{kind}{i}_ID": 10 * number + i for number, kind in enumerate(("ACC", "GYRO", "MAG"), 1) for i in (0, 1)
+    }
+    store.add_snapshot("j", 0.0, SnapshotPurpose.COMPOSED_ON, "a" * 64, rows)
+    plan = replace(PLAN, fingerprint=replace(FINGERPRINT, autopilot="px4"))
+    fit = replace(samples.fit(), sensor=Sensor.GYRO, instance=0)
+    [left] = history_of([job("j", plan=plan, results=(fit,))], store)
+    store.close()
+    assert set(left.device_ids.values()) == {10, 11, 20, 21, 30, 31}
+    assert left.heard == {10, 20}  # an inertial unit sends both in one message
+
+
 def test_a_job_whose_reading_is_lost_says_what_its_plan_says() -> None:
     store = SqliteStore(None)
     [left] = history_of([job("j", plan=replace(PLAN, fingerprint=replace(FINGERPRINT, uid="")))], store)
