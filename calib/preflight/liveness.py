@@ -136,6 +136,9 @@ def sensors_heard(found: Census, announced: Mapping[Key, Announced], *, complete
     if settled:
         texts = list(settled.values())
         reason = f"{'; '.join(f'{line[:1].upper()}{line[1:]}' for line in texts)}: it is dead, or its row is left over."
+        if found.constant:
+            listed = ", ".join(_name(key) for key in sorted(found.constant))
+            reason += f" Not one step of change was seen in {listed}: at rest a frozen one reads the same."
         suspects = tuple(_name(key) for key in sorted(settled))
         return Check(of, Verdict.WARN, float(len(texts)), 0.0, 0.0, "", reason, _ROW, (*texts, *notes), suspects)
     if not found.alive:

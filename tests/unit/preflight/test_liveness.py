@@ -148,6 +148,24 @@ def test_a_stream_of_repeats_is_a_dead_sensor() -> None:
     assert report.check(CheckId.SENSORS_HEARD).suspects == ("accelerometer 2", "gyroscope 2")
 
 
+def test_a_row_without_a_sensor_hides_no_compass_that_stands_still() -> None:
+    """PX4 without noise: its first compass is dead, and its second one never was there."""
+    vehicle = three(1)
+    heard = (device for key, device in vehicle.verified.device_ids.items() if not key.endswith("2"))
+    vehicle.verified = dataclasses.replace(vehicle.verified, heard=frozenset(heard))
+    vehicle.parameters |= {f"CAL_{kind}2_PRIO": 50 for kind in ("ACC", "GYRO", "MAG")}
+    vehicle.lost = frozenset({2})
+    snapshot = vehicle.snapshot()
+    still = [
+        dataclasses.replace(c, values=np.broadcast_to(c.values[:1], c.values.shape).copy()) if c.sensor == M else c
+        for c in snapshot.recording.channels
+    ]
+    report = preflight(dataclasses.replace(snapshot, recording=snapshot.recording.with_channels(still)))
+    check = report.check(CheckId.SENSORS_HEARD)
+    assert check.verdict == Verdict.WARN
+    assert "Not one step of change was seen in compass 1, compass 2" in check.reason
+
+
 def test_a_compass_whose_correction_was_not_read_is_not_dead() -> None:
     snapshot = three(1).snapshot()
     rest = [c for c in snapshot.recording.channels if c.sensor != M]
