@@ -93,6 +93,10 @@ def test_the_first_calibration_prints_what_its_page_says(tmp_path: Path) -> None
     reader.text = reader.text[begin:]
     measure, shown, write, whole = reader.blocks[:4]
     said = reader.run(measure[0])
+    for _ in range(5):  # what the vehicle calibrated at its start may agree by chance: then there is nothing to write
+        if JOB.search(said):
+            break
+        said = reader.run(measure[0])
     reader.job = JOB.findall(said)[-1]
     for line in shown:
         assert any(words(line) == words(other) for other in said.splitlines()), f"{line!r} is not in\n{said}"
